@@ -1,0 +1,143 @@
+//! The one error type. A user's mistake names the file, the place in it, the
+//! key, what was found and what was expected; a bug is an assertion instead.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Where in an input file a mistake was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// Line number, counted from 1 (text files).
+    Line(usize),
+    /// Byte offset, counted from 0 (binary files).
+    Byte(u64),
+    /// The file as a whole.
+    File,
+}
+
+/// A mistake in a scene or mesh file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputError {
+    pub file: PathBuf,
+    pub place: Place,
+    /// Dotted key in a scene file (`camera.f_number`); `None` in a mesh.
+    pub key: Option<String>,
+    pub found: String,
+    pub expected: String,
+}
+
+impl InputError {
+    /// A mistake at `place` of `file`, outside any key.
+    pub fn new(
+        file: &Path,
+        place: Place,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> Self {
+        InputError {
+            file: file.to_owned(),
+            place,
+            key: None,
+            found: found.into(),
+            expected: expected.into(),
+        }
+    }
+}
+
+impl fmt::Display for InputError {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        match self.place {
+            Place::Line(line) => write!(f, ":{line}")?,
+            Place::Byte(byte) => write!(f, ": byte {byte}")?,
+            Place::File => {}
+        }
+        if let Some(key) = &self.key {
+            write!(f, ": {key}")?;
+        }
+        write!(f, ": found {}, expected {}", self.found, self.expected)
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The command line asks for something that cannot be done.
+    #[error("{0}")]
+    Usage(String),
+    /// A scene or mesh file is wrong.
+    #[error("{0}")]
+    Input(Box<InputError>),
+    /// The file system refused.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        action: &'static str,
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    /// Embree failed.
+    #[error("Embree: {0}")]
+    Embree(String),
+    /// The user stopped the run.
+    #[error("interrupted; run the same command again to complete")]
+    Interrupted,
+}
+
+impl From<InputError> for Error {
+    fn from(error: InputError) -> Self {
+        Error::Input(Box::new(error))
+    }
+}
+
+impl Error {
+    /// `map_err` adapter: `fs::read(p).map_err(Error::io("read", p))`.
+    pub fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Error + use<> {
+        let path = path.to_owned();
+        move |source| Error::Io {
+            action,
+            path,
+            source,
+        }
+    }
+
+    /// Process exit status, after BSD `sysexits.h`: 64 usage, 65 bad input
+    /// data, 70 internal, 74 input/output, 75 temporary (run again).
+    pub fn exit_code(&self) -> u8 {
+        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+        match self {
+            Error::Usage(_) => 64,
+            Error::Input(_) => 65,
+            Error::Embree(_) => 70,
+            Error::Io { source, .. } => match source.kind() {
+                StorageFull | QuotaExceeded => 75,
+                _ => 74,
+            },
+            Error::Interrupted => 75,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_input_error_names_file_place_key_found_and_expected() {
+        let mut error = InputError::new(Path::new("a.toml"), Place::Line(7), "-8", "a number > 0");
+        error.key = Some("camera.f_number".into());
+        assert_eq!(
+            error.to_string(),
+            "a.toml:7: camera.f_number: found -8, expected a number > 0"
+        );
+    }
+
+    #[test]
+    fn a_full_disk_is_temporary_and_no_permission_is_not() {
+        let code = |kind: std::io::ErrorKind| {
+            Error::io("write", Path::new("x"))(std::io::Error::from(kind)).exit_code()
+        };
+        assert_eq!(code(std::io::ErrorKind::StorageFull), 75);
+        assert_eq!(code(std::io::ErrorKind::PermissionDenied), 74);
+    }
+}

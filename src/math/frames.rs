@@ -1,0 +1,107 @@
+//! Rigid transforms between right-handed frames, named `to_from_from`:
+//! `world_from_head.point(p)` takes `p` from head to world coordinates.
+
+use glam::{DMat3, DQuat, DVec3, EulerRot};
+
+/// Rotation followed by translation (mm).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rigid {
+    pub rotation: DMat3,
+    pub translation: DVec3,
+}
+
+impl Rigid {
+    pub const IDENTITY: Rigid = Rigid {
+        rotation: DMat3::IDENTITY,
+        translation: DVec3::ZERO,
+    };
+
+    pub fn translation(translation: DVec3) -> Rigid {
+        Rigid {
+            rotation: DMat3::IDENTITY,
+            translation,
+        }
+    }
+
+    /// Rotations about the fixed x, then y, then z axis (radians), then the
+    /// translation.
+    pub fn from_euler_xyz(angles: DVec3, translation: DVec3) -> Rigid {
+        Rigid {
+            rotation: DMat3::from_quat(DQuat::from_euler(
+                EulerRot::XYZEx,
+                angles.x,
+                angles.y,
+                angles.z,
+            )),
+            translation,
+        }
+    }
+
+    /// The frame at `origin` whose z axis is `z` and whose x axis is the part
+    /// of `x_hint` across it. `None` if either is zero, not finite, or the two
+    /// are parallel to within 1e-6 rad.
+    pub fn from_z_and_x(origin: DVec3, z: DVec3, x_hint: DVec3) -> Option<Rigid> {
+        let z = z.try_normalize()?;
+        let hint = x_hint.try_normalize()?;
+        let across = hint - z * hint.dot(z);
+        if across.length() < 1e-6 {
+            return None;
+        }
+        let x = across.normalize();
+        Some(Rigid {
+            rotation: DMat3::from_cols(x, z.cross(x), z),
+            translation: origin,
+        })
+    }
+
+    pub fn point(&self, p: DVec3) -> DVec3 {
+        self.rotation * p + self.translation
+    }
+
+    pub fn vector(&self, v: DVec3) -> DVec3 {
+        self.rotation * v
+    }
+
+    pub fn inverse(&self) -> Rigid {
+        let rotation = self.rotation.transpose();
+        Rigid {
+            rotation,
+            translation: -(rotation * self.translation),
+        }
+    }
+}
+
+impl std::ops::Mul for Rigid {
+    type Output = Rigid;
+    /// `a_from_b * b_from_c = a_from_c`.
+    fn mul(self, other: Rigid) -> Rigid {
+        Rigid {
+            rotation: self.rotation * other.rotation,
+            translation: self.point(other.translation),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn euler_angles_turn_about_fixed_x_then_y_then_z() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let t = Rigid::from_euler_xyz(DVec3::new(quarter, 0.0, quarter), DVec3::X);
+        // y → z about x, and z stays z about z; x → y about z.
+        assert!((t.point(DVec3::Y) - DVec3::new(1.0, 0.0, 1.0)).length() < 1e-15);
+        assert!((t.point(DVec3::X) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-15);
+    }
+
+    #[test]
+    fn inverse_and_product_agree() {
+        let a = Rigid::from_euler_xyz(DVec3::new(0.3, -1.0, 2.0), DVec3::new(1.0, 2.0, 3.0));
+        let b = Rigid::from_z_and_x(DVec3::Y, DVec3::new(1.0, 1.0, 0.2), DVec3::X).unwrap();
+        let p = DVec3::new(-4.0, 0.5, 7.0);
+        assert!(((a * b).point(p) - a.point(b.point(p))).length() < 1e-14);
+        assert!((a.inverse().point(a.point(p)) - p).length() < 1e-14);
+        assert!((b.rotation.determinant() - 1.0).abs() < 1e-14);
+    }
+}

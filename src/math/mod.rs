@@ -1,0 +1,49 @@
+//! Frames, boxes and stateless random numbers.
+
+pub mod frames;
+pub mod rng;
+
+pub use frames::Rigid;
+pub use glam::{DMat3, DVec2, DVec3};
+
+/// Axis-aligned box, in the unit of its points. Empty when `min > max`.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Aabb {
+    pub min: DVec3,
+    pub max: DVec3,
+}
+
+impl Aabb {
+    pub const EMPTY: Aabb = Aabb {
+        min: DVec3::INFINITY,
+        max: DVec3::NEG_INFINITY,
+    };
+
+    pub fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
+        points
+            .into_iter()
+            .fold(Aabb::EMPTY, |b, p| Aabb::new(b.min.min(p), b.max.max(p)))
+    }
+
+    pub fn new(min: DVec3, max: DVec3) -> Aabb {
+        Aabb { min, max }
+    }
+
+    pub fn center(&self) -> DVec3 {
+        (self.min + self.max) / 2.0
+    }
+
+    pub fn size(&self) -> DVec3 {
+        self.max - self.min
+    }
+
+    pub fn corners(&self) -> [DVec3; 8] {
+        std::array::from_fn(|i| {
+            DVec3::new(
+                if i & 1 == 0 { self.min.x } else { self.max.x },
+                if i & 2 == 0 { self.min.y } else { self.max.y },
+                if i & 4 == 0 { self.min.z } else { self.max.z },
+            )
+        })
+    }
+}
