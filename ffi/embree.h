@@ -1,0 +1,53 @@
+/* lasertrace's own narrow C API over whichever Embree is installed: 4.x (Debian
+ * 13 ships 4.3) or 3.13 (Debian 12). Rust binds to this header, so it sees one
+ * API, and the layout of every struct is that of the library that is linked.
+ * Functions that can fail return 0 or NULL and leave the reason with the
+ * device's error function. */
+#ifndef LASERTRACE_EMBREE_H
+#define LASERTRACE_EMBREE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#if __has_include(<embree4/rtcore.h>)
+#include <embree4/rtcore.h>
+#elif __has_include(<embree3/rtcore.h>)
+#include <embree3/rtcore.h>
+#else
+#error "LASERTRACE_NO_EMBREE"
+#endif
+
+#if RTC_VERSION < 31300
+#error "LASERTRACE_OLD_EMBREE"
+#endif
+
+/* geomID of a ray that met nothing (a cast macro in Embree's headers). */
+enum { LT_NO_GEOMETRY = RTC_INVALID_GEOMETRY_ID };
+
+/* RTC_VERSION of the header this was compiled against, e.g. 31305 = 3.13.5. */
+uint32_t lt_header_version(void);
+/* The same of the library that is loaded. */
+uint32_t lt_library_version(RTCDevice device);
+
+/* NULL if Embree cannot start; *error then holds the RTCError. */
+RTCDevice lt_device_new(const char *config, uint32_t *error);
+void lt_device_on_error(RTCDevice device, RTCErrorFunction function, void *user);
+void lt_device_release(RTCDevice device);
+
+/* A robust, medium-quality scene of one triangle mesh whose buffers (three
+ * floats a vertex, three indices a triangle) are still to be filled. */
+RTCScene lt_mesh_scene_new(RTCDevice device, size_t vertices, size_t triangles,
+                           float **vertex_buffer, uint32_t **triangle_buffer);
+void lt_scene_commit(RTCScene scene);
+void lt_scene_release(RTCScene scene);
+
+/* 16 coherent rays, closest hit and any hit. `valid` holds -1 for a ray to be
+ * traced and 0 for one to be left out; all pointers are 64-byte aligned. */
+void lt_intersect16(RTCScene scene, const int *valid, struct RTCRayHit16 *rays);
+void lt_occluded16(RTCScene scene, const int *valid, struct RTCRay16 *rays);
+
+/* Calls `visit` for each triangle that may lie within query->radius. */
+void lt_point_query(RTCScene scene, struct RTCPointQuery *query,
+                    RTCPointQueryFunction visit, void *user);
+
+#endif

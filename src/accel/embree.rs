@@ -1,0 +1,366 @@
+//! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before
+//! they are narrowed to f32, and ray origins are advanced in f64 to the mesh's
+//! bounding box, so that neither a far-off part nor a long standoff costs digits.
+
+use super::refine::{nearest_on_triangle, refine};
+use super::{Hit, Nearest, Ray, WIDTH};
+use crate::error::{Error, Result};
+use crate::math::{Aabb, DVec3};
+use crate::mesh::Mesh;
+use std::ffi::{CStr, CString, c_char, c_void};
+use std::sync::Mutex;
+
+#[allow(
+    dead_code,
+    non_camel_case_types,
+    non_snake_case,
+    non_upper_case_globals,
+    clippy::all
+)]
+mod ffi {
+    include!(concat!(env!("OUT_DIR"), "/embree.rs"));
+}
+
+/// "3.13.5" from 31305.
+fn version_string(version: u32) -> String {
+    format!(
+        "{}.{}.{}",
+        version / 10000,
+        version / 100 % 100,
+        version % 100
+    )
+}
+
+/// Version of the Embree this program was compiled against.
+pub fn version() -> String {
+    // SAFETY: returns a constant.
+    version_string(unsafe { ffi::lt_header_version() })
+}
+
+/// The first error Embree reported since it was last asked.
+type ErrorSlot = Mutex<Option<String>>;
+
+unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
+    // SAFETY: `slot` is the boxed ErrorSlot given to lt_device_on_error, which
+    // lives as long as the device; `text` is NULL or a C string of Embree's.
+    let (slot, text) = unsafe {
+        let text = if text.is_null() {
+            "no text".into()
+        } else {
+            CStr::from_ptr(text).to_string_lossy()
+        };
+        (&*(slot as *const ErrorSlot), text)
+    };
+    let mut first = slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    first.get_or_insert_with(|| format!("{text} (error {code})"));
+}
+
+struct Device {
+    handle: ffi::RTCDevice,
+    error: Box<ErrorSlot>,
+}
+
+impl Device {
+    fn new(threads: usize) -> Result<Device> {
+        let config = CString::new(format!("threads={threads}")).expect("no NUL in it");
+        let mut code = 0;
+        // SAFETY: both pointers are valid for the call.
+        let handle = unsafe { ffi::lt_device_new(config.as_ptr(), &mut code) };
+        if handle.is_null() {
+            return Err(Error::Embree(format!("cannot start (error {code})")));
+        }
+        let error = Box::new(ErrorSlot::default());
+        let slot = &*error as *const ErrorSlot as *mut c_void;
+        // SAFETY: the handle is a live device; the slot is boxed, so it stays
+        // where it is until `drop`, which releases the device first.
+        let (header, library) = unsafe {
+            ffi::lt_device_on_error(handle, Some(record_error), slot);
+            (ffi::lt_header_version(), ffi::lt_library_version(handle))
+        };
+        let device = Device { handle, error };
+        check_versions(header, library)?;
+        Ok(device)
+    }
+
+    /// What Embree reported, if anything.
+    fn check(&self) -> Result<()> {
+        let mut first = self
+            .error
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner());
+        first.take().map_or(Ok(()), |text| Err(Error::Embree(text)))
+    }
+}
+
+/// Struct layouts change between minor versions (RTCHit grew in 4.3).
+fn check_versions(header: u32, library: u32) -> Result<()> {
+    if header / 100 == library / 100 {
+        return Ok(());
+    }
+    Err(Error::Embree(format!(
+        "built against {}, but {} is loaded: rebuild lasertrace on this machine",
+        version_string(header),
+        version_string(library)
+    )))
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        // SAFETY: the handle is live and released only here.
+        unsafe { ffi::lt_device_release(self.handle) }
+    }
+}
+
+/// Bounding-volume hierarchy over one mesh.
+pub struct Accel<'m> {
+    scene: ffi::RTCScene,
+    mesh: &'m Mesh,
+    bounds: Aabb,
+    center: DVec3,
+    // Dropped after `scene` is released in `drop`.
+    _device: Device,
+}
+
+// SAFETY: Embree's scenes may be queried from many threads once committed, and
+// nothing here changes one after that.
+unsafe impl Send for Accel<'_> {}
+// SAFETY: as above.
+unsafe impl Sync for Accel<'_> {}
+
+impl Drop for Accel<'_> {
+    fn drop(&mut self) {
+        // SAFETY: the handle is live and released only here.
+        unsafe { ffi::lt_scene_release(self.scene) }
+    }
+}
+
+#[repr(align(64))]
+struct Valid([i32; WIDTH]);
+
+impl<'m> Accel<'m> {
+    /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
+    /// such as too little memory.
+    pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
+        let device = Device::new(threads)?;
+        let bounds = mesh.bounds();
+        let center = bounds.center();
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+        let mut vertex_buffer = std::ptr::null_mut();
+        let mut triangle_buffer = std::ptr::null_mut();
+        // SAFETY: the device is live and the out-pointers valid for the call.
+        let scene = unsafe {
+            ffi::lt_mesh_scene_new(
+                device.handle,
+                vertices,
+                triangles,
+                &mut vertex_buffer,
+                &mut triangle_buffer,
+            )
+        };
+        if scene.is_null() {
+            device.check()?;
+            return Err(Error::Embree("cannot make a scene".into()));
+        }
+        // SAFETY: Embree allocated `3 * vertices` floats and `3 * triangles`
+        // integers (4-byte aligned), zeroed or not, and no one else sees them
+        // before the commit. Writing through slices of such plain numbers is fine.
+        let (vertex_buffer, triangle_buffer) = unsafe {
+            (
+                std::slice::from_raw_parts_mut(vertex_buffer, 3 * vertices),
+                std::slice::from_raw_parts_mut(triangle_buffer, 3 * triangles),
+            )
+        };
+        for (out, p) in vertex_buffer.chunks_exact_mut(3).zip(&mesh.positions) {
+            out.copy_from_slice(&(*p - center).as_vec3().to_array());
+        }
+        triangle_buffer.copy_from_slice(mesh.triangles.as_flattened());
+        let accel = Accel {
+            scene,
+            mesh,
+            bounds,
+            center,
+            _device: device,
+        };
+        // SAFETY: the scene is live and its buffers are filled.
+        unsafe { ffi::lt_scene_commit(scene) };
+        accel._device.check()?;
+        Ok(accel)
+    }
+
+    pub fn mesh(&self) -> &'m Mesh {
+        self.mesh
+    }
+
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// A length (mm) that f32 tracing cannot resolve on this mesh: 2⁻²⁰ of the
+    /// largest coordinate, eight roundings of a vertex. Shadow rays start this
+    /// far off their surface.
+    pub fn resolution(&self) -> f64 {
+        (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
+    }
+
+    /// The part of the ray inside the bounding box, as the f32 ray Embree sees
+    /// and the distance its origin was advanced.
+    fn clip(&self, ray: &Ray) -> Option<(DVec3, f64, f64)> {
+        let margin = DVec3::splat(2.0 * self.resolution());
+        let inverse = ray.direction.recip();
+        let near = (self.bounds.min - margin - ray.origin) * inverse;
+        let far = (self.bounds.max + margin - ray.origin) * inverse;
+        // A ray parallel to a slab and on its face gives 0·∞ = NaN, which
+        // glam's componentwise min and max pass on; such an axis limits nothing.
+        let (mut enter, mut leave) = (0.0f64, ray.t_max);
+        for axis in 0..3 {
+            let (a, b) = (near[axis], far[axis]);
+            if a.is_nan() || b.is_nan() {
+                continue;
+            }
+            enter = enter.max(a.min(b));
+            leave = leave.min(a.max(b));
+        }
+        (enter <= leave).then(|| {
+            (
+                ray.origin + ray.direction * enter - self.center,
+                enter,
+                leave,
+            )
+        })
+    }
+
+    fn pack(&self, rays: &[Ray]) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
+        assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
+        let mut valid = Valid([0; WIDTH]);
+        let mut advanced = [0.0; WIDTH];
+        let mut packet = ffi::RTCRay16 {
+            org_x: [0.0; WIDTH],
+            org_y: [0.0; WIDTH],
+            org_z: [0.0; WIDTH],
+            tnear: [0.0; WIDTH],
+            dir_x: [0.0; WIDTH],
+            dir_y: [0.0; WIDTH],
+            dir_z: [1.0; WIDTH],
+            time: [0.0; WIDTH],
+            tfar: [-1.0; WIDTH],
+            mask: [u32::MAX; WIDTH],
+            id: [0; WIDTH],
+            flags: [0; WIDTH],
+        };
+        for (i, ray) in rays.iter().enumerate() {
+            let Some((origin, enter, leave)) = self.clip(ray) else {
+                continue;
+            };
+            valid.0[i] = -1;
+            advanced[i] = enter;
+            let (origin, direction) = (origin.as_vec3(), ray.direction.as_vec3());
+            (packet.org_x[i], packet.org_y[i], packet.org_z[i]) = origin.into();
+            (packet.dir_x[i], packet.dir_y[i], packet.dir_z[i]) = direction.into();
+            packet.tfar[i] = (leave - enter) as f32;
+        }
+        (valid, packet, advanced)
+    }
+
+    /// Nearest hit of each of up to 16 coherent rays, refined in f64.
+    pub fn closest(&self, rays: &[Ray]) -> [Option<Hit>; WIDTH] {
+        let (valid, ray, advanced) = self.pack(rays);
+        let mut packet = ffi::RTCRayHit16 {
+            ray,
+            // SAFETY: RTCHit16 is floats and integers, for which all-zero bytes
+            // are values; Embree reads only geomID, set below.
+            hit: unsafe { std::mem::zeroed() },
+        };
+        packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
+        // SAFETY: the scene is live and committed; both structs are 64-byte
+        // aligned and of the linked library's own layout.
+        unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
+        let tolerance = self.bounds.size().length() * 1e-3;
+        std::array::from_fn(|i| {
+            if packet.hit.geomID[i] == ffi::LT_NO_GEOMETRY {
+                return None;
+            }
+            let triangle = packet.hit.primID[i];
+            let t = advanced[i] + packet.ray.tfar[i] as f64;
+            let corners = self.mesh.triangle(triangle as usize);
+            refine(&rays[i], triangle, corners, t, tolerance)
+        })
+    }
+
+    /// Whether each of up to 16 coherent rays meets anything, as bits.
+    pub fn occluded(&self, rays: &[Ray]) -> u16 {
+        let (valid, mut packet, _) = self.pack(rays);
+        // SAFETY: as in `closest`.
+        unsafe { ffi::lt_occluded16(self.scene, valid.0.as_ptr(), &mut packet) };
+        // Embree sets tfar to -∞ on a hit; lanes left out still hold -1.
+        (0..WIDTH)
+            .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)
+            .fold(0, |bits, i| bits | 1 << i)
+    }
+
+    /// The point of the mesh nearest to `p`, in f64.
+    pub fn nearest(&self, p: DVec3) -> Nearest {
+        struct Search<'a> {
+            mesh: &'a Mesh,
+            p: DVec3,
+            slack: f64,
+            best: Nearest,
+        }
+        unsafe extern "C" fn visit(args: *mut ffi::RTCPointQueryFunctionArguments) -> bool {
+            // SAFETY: Embree passes valid arguments whose userPtr is the Search
+            // given below and whose query is the one given below.
+            let (args, search, query) = unsafe {
+                let args = &*args;
+                (
+                    args,
+                    &mut *(args.userPtr as *mut Search),
+                    &mut *args.query,
+                )
+            };
+            let point =
+                nearest_on_triangle(search.mesh.triangle(args.primID as usize), search.p);
+            let distance = point.distance(search.p);
+            let best = &search.best;
+            if (distance, args.primID) >= (best.distance, best.triangle) {
+                return false;
+            }
+            search.best = Nearest {
+                triangle: args.primID,
+                point,
+                distance,
+            };
+            // Embree compares with f32 vertices and an f32 query point: widened by
+            // their rounding, no nearer triangle is missed.
+            query.radius = ((distance + search.slack) * (1.0 + 1e-6)) as f32;
+            true
+        }
+        let mut search = Search {
+            mesh: self.mesh,
+            p,
+            slack: self.resolution() + (p - self.center).length() * 2f64.powi(-20),
+            best: Nearest {
+                triangle: u32::MAX,
+                point: p,
+                distance: f64::INFINITY,
+            },
+        };
+        let [x, y, z] = (p - self.center).as_vec3().to_array();
+        let mut query = ffi::RTCPointQuery {
+            x,
+            y,
+            z,
+            time: 0.0,
+            radius: f32::INFINITY,
+        };
+        // SAFETY: the scene is live and committed; query and search outlive the
+        // call, and `visit` is the only one to touch them during it.
+        unsafe {
+            let user = &mut search as *mut Search as *mut c_void;
+            ffi::lt_point_query(self.scene, &mut query, Some(visit), user)
+        };
+        search.best
+    }
+}
+
+#[cfg(test)]
+#[path = "embree_tests.rs"]
+mod tests;

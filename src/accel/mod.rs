@@ -1,0 +1,55 @@
+//! Ray–mesh intersection: Embree finds the triangle in f32, `refine` finds the
+//! point on it in f64, `brute` is the slow oracle both are tested against.
+//! Everything here is in the part's own frame (mm).
+
+pub mod brute;
+pub mod embree;
+mod refine;
+
+pub use embree::Accel;
+pub use refine::{facing_normal, refine};
+
+use crate::math::DVec3;
+
+/// Rays per packet.
+pub const WIDTH: usize = 16;
+
+/// Half-line from `origin` along the unit vector `direction`, up to `t_max` mm.
+#[derive(Debug, Clone, Copy)]
+pub struct Ray {
+    pub origin: DVec3,
+    pub direction: DVec3,
+    pub t_max: f64,
+}
+
+impl Ray {
+    /// The segment from `a` to `b`; `None` if they coincide.
+    pub fn between(a: DVec3, b: DVec3) -> Option<Ray> {
+        let direction = (b - a).try_normalize()?;
+        Some(Ray {
+            origin: a,
+            direction,
+            t_max: (b - a).length(),
+        })
+    }
+}
+
+/// Where a ray meets the mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Distance along the ray, mm.
+    pub t: f64,
+    pub triangle: u32,
+    pub point: DVec3,
+    /// Unit normal of the triangle, on the side the ray came from.
+    pub normal: DVec3,
+}
+
+/// The point of the mesh nearest to a query point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nearest {
+    pub triangle: u32,
+    pub point: DVec3,
+    /// Distance from the query point, mm.
+    pub distance: f64,
+}
