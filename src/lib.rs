@@ -4,3 +4,4 @@ pub mod error;
 pub mod math;
 pub mod mesh;
 pub mod accel;
+pub mod laser;

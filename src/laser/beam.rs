@@ -1,0 +1,60 @@
+//! Propagation of a Gaussian beam (Siegman 1986, Lasers, ch. 17).
+
+use super::{CUTOFF_RADII, Illumination};
+use crate::math::DVec3;
+use std::f64::consts::PI;
+
+/// A Gaussian beam; lengths in mm, measured along the axis from the aperture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Beam {
+    pub wavelength: f64,
+    pub power_mw: f64,
+    /// 1/e² radius of irradiance at the waist.
+    pub waist_radius: f64,
+    /// Distance of the waist from the aperture; may be negative.
+    pub waist_distance: f64,
+    /// Beam quality factor, ≥ 1.
+    pub m_squared: f64,
+}
+
+impl Beam {
+    /// Distance from the waist at which the radius is √2 of it,
+    /// z_R = π·w₀²/(M²·λ).
+    pub fn rayleigh_range(&self) -> f64 {
+        PI * self.waist_radius.powi(2) / (self.m_squared * self.wavelength)
+    }
+
+    /// Far-field half angle λ·M²/(π·w₀), rad. The paraxial theory holds while it
+    /// is below 0.5.
+    pub fn divergence(&self) -> f64 {
+        self.m_squared * self.wavelength / (PI * self.waist_radius)
+    }
+
+    /// 1/e² radius w(z) = w₀·√(1 + (z/z_R)²) at distance `z` from the aperture.
+    pub fn radius(&self, z: f64) -> f64 {
+        self.waist_radius * (1.0f64).hypot((z - self.waist_distance) / self.rayleigh_range())
+    }
+
+    /// w′(z)/w(z): energy flows along r/w(z) = const, so a ray at radius r has
+    /// slope r times this.
+    pub(super) fn relative_slope(&self, z: f64) -> f64 {
+        let z = z - self.waist_distance;
+        z / (z * z + self.rayleigh_range().powi(2))
+    }
+
+    /// Round beam: E = 2P/(π·w²)·exp(-2r²/w²) across the axis.
+    pub(super) fn round(&self, p: DVec3) -> Option<Illumination> {
+        let w = self.radius(p.z);
+        let r2 = p.x * p.x + p.y * p.y;
+        if p.z <= 0.0 || r2 > (CUTOFF_RADII * w).powi(2) {
+            return None;
+        }
+        let irradiance = 2.0 * self.power_mw / (PI * w * w) * (-2.0 * r2 / (w * w)).exp();
+        let slope = self.relative_slope(p.z);
+        let shrink = self.radius(0.0) / w;
+        Some(Illumination {
+            flux: irradiance * DVec3::new(p.x * slope, p.y * slope, 1.0),
+            aperture_point: DVec3::new(p.x * shrink, p.y * shrink, 0.0),
+        })
+    }
+}

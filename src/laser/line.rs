@@ -1,0 +1,58 @@
+//! A line laser: a beam spread into a fan by a Powell or cylindrical lens.
+
+use super::{Beam, CUTOFF_RADII, Illumination};
+use crate::math::DVec3;
+use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, SQRT_2};
+
+/// Power per radian of fan angle φ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FanProfile {
+    /// Powell lens: P/Φ over the full angle Φ, nothing outside.
+    Uniform,
+    /// Cylindrical lens: Gaussian of which Φ is the full angle at 1/e².
+    Gaussian,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fan {
+    /// Full angle Φ, rad, in (0, π).
+    pub angle: f64,
+    pub profile: FanProfile,
+}
+
+impl Fan {
+    /// p(φ) as a share of the beam's power, 1/rad; its integral is 1.
+    pub fn power_per_radian(&self, phi: f64) -> f64 {
+        let half = self.angle / 2.0;
+        match self.profile {
+            FanProfile::Uniform if phi.abs() <= half => 1.0 / self.angle,
+            FanProfile::Uniform => 0.0,
+            // Light past ±π/2 would go backwards; the rest is scaled up to 1.
+            FanProfile::Gaussian => {
+                FRAC_2_PI.sqrt() / half * (-2.0 * (phi / half).powi(2)).exp()
+                    / libm::erf(SQRT_2 * FRAC_PI_2 / half)
+            }
+        }
+    }
+
+    /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
+    /// origin line (the laser frame's y axis) and y that from the sheet.
+    pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Illumination> {
+        let rho = p.x.hypot(p.z);
+        let w = beam.radius(rho);
+        if p.z <= 0.0 || p.y.abs() > CUTOFF_RADII * w {
+            return None;
+        }
+        let per_radian = self.power_per_radian(p.x.atan2(p.z));
+        if per_radian == 0.0 {
+            return None;
+        }
+        let irradiance = beam.power_mw * per_radian / rho * FRAC_2_PI.sqrt() / w
+            * (-2.0 * (p.y / w).powi(2)).exp();
+        let slope = p.y * beam.relative_slope(rho);
+        Some(Illumination {
+            flux: irradiance * DVec3::new(p.x / rho, slope, p.z / rho),
+            aperture_point: DVec3::new(0.0, p.y * beam.radius(0.0) / w, 0.0),
+        })
+    }
+}
