@@ -5,3 +5,5 @@ pub mod math;
 pub mod mesh;
 pub mod accel;
 pub mod laser;
+pub mod camera;
+pub mod surface;

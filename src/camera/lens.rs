@@ -1,0 +1,43 @@
+//! Thin lens.
+
+use std::f64::consts::PI;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lens {
+    /// mm.
+    pub focal_length: f64,
+    /// Focal length over pupil diameter.
+    pub f_number: f64,
+    /// Distance along the axis of the plane in focus at the sensor's centre, mm;
+    /// greater than the focal length.
+    pub focus_distance: f64,
+}
+
+impl Lens {
+    /// Pupil diameter D, mm.
+    pub fn pupil_diameter(&self) -> f64 {
+        self.focal_length / self.f_number
+    }
+
+    /// mm².
+    pub fn pupil_area(&self) -> f64 {
+        PI / 4.0 * self.pupil_diameter().powi(2)
+    }
+
+    /// Where an object at distance `z` is imaged, 1/(1/f - 1/z), mm; `None` if it
+    /// is not beyond the focal length.
+    pub fn image_of(&self, z: f64) -> Option<f64> {
+        (z > self.focal_length).then(|| self.focal_length * z / (z - self.focal_length))
+    }
+
+    /// Distance from pupil to sensor along the axis, mm.
+    pub fn image_distance(&self) -> f64 {
+        self.image_of(self.focus_distance)
+            .expect("a lens is focused beyond its focal length")
+    }
+
+    /// |m| on axis in the plane of focus.
+    pub fn magnification(&self) -> f64 {
+        self.image_distance() / self.focus_distance
+    }
+}
