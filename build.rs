@@ -9,8 +9,7 @@ fn fail(sentence: &str) -> ! {
     std::process::exit(1);
 }
 
-const INSTALL_EMBREE: &str =
-    "Embree 3.13 or newer with its C headers is needed: on Debian run `apt-get install libembree-dev`";
+const INSTALL_EMBREE: &str = "Embree 3.13 or newer with its C headers is needed: on Debian run `apt-get install libembree-dev`";
 
 fn main() {
     for file in ["ffi/embree.h", "ffi/embree.c", "build.rs"] {
@@ -49,7 +48,9 @@ fn main() {
             .generate()
     });
     let Ok(Ok(bindings)) = bindings else {
-        fail("libclang is needed to read Embree's headers: on Debian run `apt-get install libclang-dev`");
+        fail(
+            "libclang is needed to read Embree's headers: on Debian run `apt-get install libclang-dev`",
+        );
     };
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     bindings

@@ -52,9 +52,10 @@ fn power_through_planes_equals_the_power_of_a_round_beam() {
             let w = laser.beam.radius(distance);
             // The tilted cut reaches where the beam is wider or narrower.
             let reach = (1..40).fold(w, |w, _| {
-                laser.beam.radius(distance + 4.2 * w * tilt.tan()).max(
-                    laser.beam.radius(distance - 4.2 * w * tilt.tan()),
-                )
+                laser
+                    .beam
+                    .radius(distance + 4.2 * w * tilt.tan())
+                    .max(laser.beam.radius(distance - 4.2 * w * tilt.tan()))
             });
             let extent = [4.2 * reach, 4.2 * reach / tilt.cos()];
             let power = power_through(&laser, distance, tilt, extent, 600);
@@ -106,7 +107,10 @@ fn fan_profiles_hold_all_the_power() {
             let sum: f64 = (0..n)
                 .map(|i| fan.power_per_radian(-reach + (i as f64 + 0.5) * step) * step)
                 .sum();
-            assert!((sum - 1.0).abs() < step / fan.angle + 1e-9, "{fan:?}: {sum}");
+            assert!(
+                (sum - 1.0).abs() < step / fan.angle + 1e-9,
+                "{fan:?}: {sum}"
+            );
         }
     }
 }
@@ -149,7 +153,10 @@ fn irradiance_on_axis_is_the_closed_form() {
         assert!((on_sheet.z / expected - 1.0).abs() < 1e-14);
     }
     assert!(point.at(DVec3::new(0.0, 0.0, -1.0)).is_none());
-    assert!(line.at(DVec3::new(60.0, 0.0, 100.0)).is_none(), "past the fan");
+    assert!(
+        line.at(DVec3::new(60.0, 0.0, 100.0)).is_none(),
+        "past the fan"
+    );
 }
 
 /// The aperture point keeps relative radius and azimuth.

@@ -310,14 +310,9 @@ impl<'m> Accel<'m> {
             // given below and whose query is the one given below.
             let (args, search, query) = unsafe {
                 let args = &*args;
-                (
-                    args,
-                    &mut *(args.userPtr as *mut Search),
-                    &mut *args.query,
-                )
+                (args, &mut *(args.userPtr as *mut Search), &mut *args.query)
             };
-            let point =
-                nearest_on_triangle(search.mesh.triangle(args.primID as usize), search.p);
+            let point = nearest_on_triangle(search.mesh.triangle(args.primID as usize), search.p);
             let distance = point.distance(search.p);
             let best = &search.best;
             if (distance, args.primID) >= (best.distance, best.triangle) {

@@ -173,7 +173,10 @@ fn embree_writes_nothing_past_its_structs() {
 fn another_minor_version_of_the_library_is_refused() {
     assert!(check_versions(31305, 31306).is_ok());
     let message = check_versions(40200, 40303).unwrap_err().to_string();
-    assert!(message.contains("4.2.0") && message.contains("4.3.3"), "{message}");
+    assert!(
+        message.contains("4.2.0") && message.contains("4.3.3"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -188,8 +191,7 @@ fn an_error_of_embree_becomes_an_error() {
     // A mesh no machine has memory for: Embree's own report.
     let (mut v, mut t) = (std::ptr::null_mut(), std::ptr::null_mut());
     // SAFETY: the device is live, the out-pointers valid.
-    let scene =
-        unsafe { ffi::lt_mesh_scene_new(device.handle, 1 << 50, 1 << 50, &mut v, &mut t) };
+    let scene = unsafe { ffi::lt_mesh_scene_new(device.handle, 1 << 50, 1 << 50, &mut v, &mut t) };
     assert!(scene.is_null());
     assert!(device.check().is_err());
 }

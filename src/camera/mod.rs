@@ -134,7 +134,10 @@ mod tests {
     #[test]
     fn the_axis_meets_the_middle_and_y_points_to_higher_rows() {
         let camera = camera([0.0, 0.0]);
-        assert_eq!(camera.project(DVec3::Z * 99.0), Some(DVec2::new(400.0, 300.0)));
+        assert_eq!(
+            camera.project(DVec3::Z * 99.0),
+            Some(DVec2::new(400.0, 300.0))
+        );
         let off = camera.project(DVec3::new(1.0, 2.0, 240.0)).unwrap();
         let scale = camera.lens.image_distance() / 240.0 / 0.0055;
         assert!((off - DVec2::new(400.0 + scale, 300.0 + 2.0 * scale)).length() < 1e-9);

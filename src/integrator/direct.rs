@@ -1,0 +1,177 @@
+//! Light that goes laser → surface → camera. For each sample on a pixel: camera
+//! ray, closest hit, laser light there, shadow ray to the aperture point it came
+//! from, Lambert reflection, pupil solid angle, speckle.
+
+use crate::accel::{Accel, Hit, Ray, WIDTH};
+use crate::camera::Camera;
+use crate::laser::Laser;
+use crate::math::{DVec2, DVec3, Rigid};
+use crate::speckle::Speckle;
+use crate::surface::Lambert;
+use rayon::prelude::*;
+
+/// Everything one frame depends on, in the part's frame.
+pub struct View<'a> {
+    pub accel: &'a Accel<'a>,
+    pub surface: Lambert,
+    pub laser: &'a Laser,
+    pub part_from_laser: Rigid,
+    pub camera: &'a Camera,
+    pub part_from_camera: Rigid,
+    /// `None`: the light is taken as incoherent.
+    pub speckle: Option<&'a Speckle>,
+    /// Samples along each side of a pixel.
+    pub samples_per_side: u32,
+}
+
+/// Irradiance on the sensor averaged over each pixel, mW/mm², row by row.
+/// The same bytes for any number of threads: pixels are summed one by one, each
+/// in a fixed order.
+pub fn irradiance_image(view: &View) -> Vec<f32> {
+    let resolution = view.camera.sensor.resolution;
+    let columns = resolution.x as usize;
+    let frame = Frame::new(view);
+    let mut image = vec![0.0f32; columns * resolution.y as usize];
+    // Eight rows amortise a task and leave a hundred tasks to share out.
+    let rows_per_task = 8;
+    image
+        .par_chunks_mut(columns * rows_per_task)
+        .enumerate()
+        .for_each(|(task, rows)| {
+            let mut sums = vec![0.0f64; columns];
+            for (i, row) in rows.chunks_exact_mut(columns).enumerate() {
+                frame.render_row(task * rows_per_task + i, &mut sums);
+                for (pixel, sum) in row.iter_mut().zip(&sums) {
+                    *pixel = *sum as f32;
+                }
+            }
+        });
+    image
+}
+
+/// A view with what its samples share computed once.
+struct Frame<'a> {
+    view: &'a View<'a>,
+    laser_from_part: Rigid,
+    eye: DVec3,
+    /// The sensor point of pixel (0, 0) in the camera frame, and the steps from
+    /// column to column and row to row: the sensor is a plane.
+    sensor_origin: DVec3,
+    sensor_column: DVec3,
+    sensor_row: DVec3,
+    /// Numerator of the pupil's solid angle: area × cos·cos/r² is
+    /// this × z/r⁴ with r the distance to the sensor point.
+    pupil: f64,
+}
+
+/// A sample whose surface faces the light, before its shadow ray is traced.
+struct Lit {
+    column: usize,
+    /// Contribution to the pixel's mean irradiance if nothing blocks the light.
+    irradiance: f64,
+}
+
+impl<'a> Frame<'a> {
+    fn new(view: &'a View<'a>) -> Frame<'a> {
+        let at = |x: f64, y: f64| view.camera.sensor_point(DVec2::new(x, y));
+        let origin = at(0.0, 0.0);
+        let (column, row) = (at(1.0, 0.0) - origin, at(0.0, 1.0) - origin);
+        let normal = column.cross(row).normalize();
+        Frame {
+            view,
+            laser_from_part: view.part_from_laser.inverse(),
+            eye: view.part_from_camera.translation,
+            sensor_origin: origin,
+            sensor_column: column,
+            sensor_row: row,
+            pupil: view.camera.lens.pupil_area() * normal.dot(origin),
+        }
+    }
+
+    /// Mean irradiance of the pixels of one row.
+    fn render_row(&self, row: usize, sums: &mut [f64]) {
+        sums.fill(0.0);
+        let side = self.view.samples_per_side as usize;
+        let samples = sums.len() * side;
+        for sub_row in 0..side {
+            let y = row as f64 + (sub_row as f64 + 0.5) / side as f64;
+            for first in (0..samples).step_by(WIDTH) {
+                let count = WIDTH.min(samples - first);
+                let pixels: [DVec2; WIDTH] = std::array::from_fn(|i| {
+                    DVec2::new(((first + i) as f64 + 0.5) / side as f64, y)
+                });
+                self.render_packet(&pixels[..count], sums);
+            }
+        }
+    }
+
+    fn render_packet(&self, pixels: &[DVec2], sums: &mut [f64]) {
+        let unused = Ray {
+            origin: self.eye,
+            direction: DVec3::Z,
+            t_max: 0.0,
+        };
+        let mut rays = [unused; WIDTH];
+        let mut solid_angles = [0.0; WIDTH];
+        for (i, pixel) in pixels.iter().enumerate() {
+            let to_sensor =
+                self.sensor_origin + self.sensor_column * pixel.x + self.sensor_row * pixel.y;
+            let r2 = to_sensor.length_squared();
+            solid_angles[i] = self.pupil * to_sensor.z / (r2 * r2);
+            rays[i] = Ray {
+                origin: self.eye,
+                direction: self.view.part_from_camera.vector(to_sensor / r2.sqrt()),
+                t_max: f64::INFINITY,
+            };
+        }
+        let hits = self.view.accel.closest(&rays[..pixels.len()]);
+
+        let per_sample = 1.0 / (self.view.samples_per_side as f64).powi(2);
+        let mut shadow_rays = [unused; WIDTH];
+        let mut lit: [Lit; WIDTH] = std::array::from_fn(|_| Lit {
+            column: 0,
+            irradiance: 0.0,
+        });
+        let mut count = 0;
+        for (i, pixel) in pixels.iter().enumerate() {
+            let Some((received, shadow_ray)) = hits[i].and_then(|hit| self.light_at(&hit)) else {
+                continue;
+            };
+            let radiance = self.view.surface.radiance(received);
+            let speckle = self.view.speckle.map_or(1.0, |s| s.factor(*pixel));
+            shadow_rays[count] = shadow_ray;
+            lit[count] = Lit {
+                column: pixel.x as usize,
+                irradiance: radiance * solid_angles[i] * speckle * per_sample,
+            };
+            count += 1;
+        }
+        if count == 0 {
+            return;
+        }
+        let blocked = self.view.accel.occluded(&shadow_rays[..count]);
+        for (i, lit) in lit[..count].iter().enumerate() {
+            if blocked >> i & 1 == 0 {
+                sums[lit.column] += lit.irradiance;
+            }
+        }
+    }
+
+    /// Irradiance (mW/mm²) the surface receives at `hit` on the side that is
+    /// seen, and the ray on which it may be blocked.
+    fn light_at(&self, hit: &Hit) -> Option<(f64, Ray)> {
+        let light = self.view.laser.at(self.laser_from_part.point(hit.point))?;
+        let received = -light
+            .flux
+            .dot(self.laser_from_part.vector(hit.normal));
+        if received <= 0.0 {
+            return None;
+        }
+        let start = hit.point + hit.normal * self.view.accel.resolution();
+        let aperture = self.view.part_from_laser.point(light.aperture_point);
+        let shadow_ray = Ray::between(start, aperture)?;
+        // At grazing light the local direction may come from the front and the
+        // chord from behind: then the surface itself is in the way.
+        (shadow_ray.direction.dot(hit.normal) > 0.0).then_some((received, shadow_ray))
+    }
+}

@@ -1,0 +1,206 @@
+//! The scene file as written: TOML, millimetres unless the key says otherwise.
+//! The doc comments here become the descriptions in the JSON Schema.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+/// A laser-triangulation scan of one part. World frame right-handed,
+/// millimetres.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "lasertrace scene")]
+pub struct SceneFile {
+    /// Seed of everything random: sensor noise and speckle.
+    pub seed: u64,
+    /// Whether laser light shows speckle.
+    pub speckle: bool,
+    /// Also write each frame of a scan as frames/frame-KKKKKK.png.
+    #[serde(default)]
+    pub write_frames: bool,
+    pub part: PartTable,
+    pub laser: LaserTable,
+    pub camera: CameraTable,
+    pub scan: ScanTable,
+}
+
+/// What is inspected: exactly one of `mesh`, `plane`, `sphere`, `cylinder` and
+/// `step_block`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PartTable {
+    pub mesh: Option<MeshTable>,
+    pub plane: Option<PlaneTable>,
+    pub sphere: Option<SphereTable>,
+    pub cylinder: Option<CylinderTable>,
+    pub step_block: Option<StepBlockTable>,
+    /// Share of light reflected, diffusely (Lambert), 0 to 1.
+    pub reflectance: f64,
+    /// Where the part's origin lies in the world. Default: the world's origin.
+    #[serde(default)]
+    pub position_mm: [f64; 3],
+    /// Rotation about the world's x, then y, then z axis. Default: none.
+    #[serde(default)]
+    pub rotation_deg: [f64; 3],
+}
+
+/// A mesh file: STL, OBJ or PLY.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeshTable {
+    /// Path, relative to the scene file.
+    pub file: String,
+    /// Unit of the file's coordinates, which the file itself does not say.
+    pub unit: Unit,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+pub enum Unit {
+    #[serde(rename = "um")]
+    Micrometre,
+    #[serde(rename = "mm")]
+    Millimetre,
+    #[serde(rename = "cm")]
+    Centimetre,
+    #[serde(rename = "m")]
+    Metre,
+    #[serde(rename = "inch")]
+    Inch,
+}
+
+/// A rectangle in the part's xy plane, facing +z, centred on its origin.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PlaneTable {
+    pub size_mm: [f64; 2],
+}
+
+/// A sphere about the part's origin.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SphereTable {
+    pub radius_mm: f64,
+    /// Largest distance between the sphere and its triangles.
+    pub chord_um: f64,
+}
+
+/// A cylinder with its axis along the part's y axis, centred on its origin.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CylinderTable {
+    pub radius_mm: f64,
+    pub length_mm: f64,
+    /// Largest distance between the cylinder and its triangles.
+    pub chord_um: f64,
+}
+
+/// A block, centred in x and y with its bottom at z = 0, whose top is lower by
+/// `step_mm` where x < 0.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StepBlockTable {
+    pub size_mm: [f64; 3],
+    pub step_mm: f64,
+}
+
+/// The laser, in the scan head's frame.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LaserTable {
+    pub wavelength_nm: f64,
+    pub power_mw: f64,
+    /// 1/e² radius of irradiance at the waist.
+    pub waist_radius_um: f64,
+    /// Distance of the waist from the aperture; negative: before it.
+    pub waist_distance_mm: f64,
+    /// Beam quality factor M². Default: 1, a perfect Gaussian beam.
+    #[serde(default = "one")]
+    pub m_squared: f64,
+    /// Centre of the laser's aperture.
+    pub position_mm: [f64; 3],
+    /// Where the beam goes; any length.
+    pub direction: [f64; 3],
+    /// A line laser; without this table it is a point laser.
+    pub line: Option<LineTable>,
+}
+
+/// The fan of a line laser.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LineTable {
+    /// Full angle of the fan; for a gaussian profile between the 1/e² points.
+    pub fan_deg: f64,
+    /// `uniform` (Powell lens) or `gaussian` (cylindrical lens).
+    pub profile: ProfileName,
+    /// Direction of the line; its part along the beam is ignored.
+    pub direction: [f64; 3],
+}
+
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ProfileName {
+    Uniform,
+    Gaussian,
+}
+
+/// The camera, in the scan head's frame.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CameraTable {
+    pub focal_length_mm: f64,
+    pub f_number: f64,
+    /// Distance along the axis from the lens to the plane in focus.
+    pub focus_distance_mm: f64,
+    /// Columns, rows.
+    pub resolution_px: [u32; 2],
+    pub pixel_pitch_um: f64,
+    /// Centre of the lens's pupil.
+    pub position_mm: [f64; 3],
+    /// A point on the optical axis.
+    pub look_at_mm: [f64; 3],
+    /// Direction of increasing columns; its part along the axis is ignored. The
+    /// laser line must run along the columns.
+    pub columns: [f64; 3],
+    /// Scheimpflug tilt of the sensor about the image's column axis and row axis.
+    /// Default: none. `lasertrace check` prints the tilt that brings the laser
+    /// plane into focus.
+    #[serde(default)]
+    pub tilt_deg: [f64; 2],
+    pub exposure_ms: f64,
+    /// Electrons per photon, 0 to 1.
+    pub quantum_efficiency: f64,
+    /// Counts per electron.
+    pub gain_dn_per_e: f64,
+    /// Bits per pixel, 8 to 16.
+    pub bit_depth: u32,
+    pub full_well_e: f64,
+    /// Counts without light. Default: 0.
+    #[serde(default)]
+    pub black_level_dn: f64,
+    /// Standard deviation of the read noise in electrons. With this key counts
+    /// have shot and read noise; without it they are the rounded expectation.
+    pub read_noise_e: Option<f64>,
+}
+
+/// A straight scan: in frame k the head's origin is at
+/// start_mm + k·step_mm·direction.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScanTable {
+    pub frames: u32,
+    pub step_mm: f64,
+    /// Direction of motion of the head in the world; any length.
+    pub direction: [f64; 3],
+    /// Position of the head in frame 0. Default: the world's origin.
+    #[serde(default)]
+    pub start_mm: [f64; 3],
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// JSON Schema of the scene file, as pretty-printed text.
+pub fn schema() -> String {
+    let schema = schemars::schema_for!(SceneFile);
+    serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
+}

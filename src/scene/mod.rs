@@ -1,0 +1,8 @@
+//! The scene: what is written in the file, and what that means in internal units.
+
+mod file;
+mod locate;
+mod resolve;
+
+pub use file::{SceneFile, schema};
+pub use resolve::{LinearScan, Scene};

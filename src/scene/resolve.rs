@@ -1,0 +1,377 @@
+//! From the scene file to validated values in internal units (mm, rad).
+
+use super::file::{CameraTable, LaserTable, PartTable, ProfileName, SceneFile, Unit};
+use super::locate::Source;
+use crate::camera::{Camera, Lens, Noise, Sensor};
+use crate::error::{Error, Result};
+use crate::laser::{Beam, Fan, FanProfile, Laser};
+use crate::math::{DVec2, DVec3, Rigid};
+use crate::mesh::{self, Mesh, shapes};
+use crate::surface::Lambert;
+use glam::UVec2;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// Positions of the scan head along a straight line, turned nowhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LinearScan {
+    pub start: DVec3,
+    /// From one frame to the next.
+    pub step: DVec3,
+    pub frames: u32,
+}
+
+/// A validated scene: the world at rest and the head's way through it.
+pub struct Scene {
+    pub path: PathBuf,
+    /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
+    pub hash: String,
+    pub seed: u64,
+    pub speckle: bool,
+    pub write_frames: bool,
+    pub mesh: Mesh,
+    pub surface: Lambert,
+    pub world_from_part: Rigid,
+    pub laser: Laser,
+    pub head_from_laser: Rigid,
+    pub camera: Camera,
+    pub head_from_camera: Rigid,
+    pub scan: LinearScan,
+}
+
+impl Scene {
+    /// Reads and validates a scene file and the mesh it names.
+    pub fn load(path: &Path) -> Result<Scene> {
+        let text = std::fs::read(path).map_err(Error::io("read", path))?;
+        let text = String::from_utf8(text).map_err(|e| {
+            let place = crate::error::Place::Byte(e.utf8_error().valid_up_to() as u64);
+            crate::error::InputError::new(path, place, "bytes that are not UTF-8", "TOML text")
+        })?;
+        let source = Source::parse(path, text)?;
+        let file: SceneFile =
+            toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
+        Resolver { source, path }.scene(file)
+    }
+
+    pub fn world_from_head(&self, frame: u32) -> Rigid {
+        Rigid::translation(self.scan.start + self.scan.step * frame as f64)
+    }
+
+    pub fn part_from_head(&self, frame: u32) -> Rigid {
+        self.world_from_part.inverse() * self.world_from_head(frame)
+    }
+}
+
+struct Resolver<'a> {
+    source: Source,
+    path: &'a Path,
+}
+
+impl Resolver<'_> {
+    fn check(&self, holds: bool, key: &str, expected: &str) -> Result<()> {
+        if holds {
+            Ok(())
+        } else {
+            Err(self.source.wrong(key, expected))
+        }
+    }
+
+    fn positive(&self, value: f64, key: &str) -> Result<f64> {
+        let holds = value.is_finite() && value > 0.0;
+        self.check(holds, key, "a finite number > 0")
+            .map(|()| value)
+    }
+
+    fn finite<const N: usize>(&self, value: [f64; N], key: &str) -> Result<[f64; N]> {
+        let holds = value.iter().all(|v| v.is_finite());
+        self.check(holds, key, "finite numbers").map(|()| value)
+    }
+
+    fn direction(&self, value: [f64; 3], key: &str) -> Result<DVec3> {
+        DVec3::from(value)
+            .try_normalize()
+            .ok_or_else(|| self.source.wrong(key, "a vector of finite length > 0"))
+    }
+
+    fn scene(self, file: SceneFile) -> Result<Scene> {
+        let (mesh, mesh_hash) = self.mesh(&file.part)?;
+        let reflectance = file.part.reflectance;
+        self.check(
+            (0.0..=1.0).contains(&reflectance),
+            "part.reflectance",
+            "a number from 0 to 1",
+        )?;
+        let [rx, ry, rz] = self
+            .finite(file.part.rotation_deg, "part.rotation_deg")?
+            .map(f64::to_radians);
+        let position = self.finite(file.part.position_mm, "part.position_mm")?;
+        let camera = self.camera(&file.camera)?;
+        let head_from_camera = self.camera_pose(&file.camera)?;
+        let laser = self.laser(&file.laser)?;
+        let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
+        self.triangulation(&head_from_laser, &head_from_camera)?;
+        let direction = self.direction(file.scan.direction, "scan.direction")?;
+        let [step] = self.finite([file.scan.step_mm], "scan.step_mm")?;
+        self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
+        let mut hash = Sha256::new();
+        hash.update(self.source.text());
+        hash.update(mesh_hash);
+        Ok(Scene {
+            path: self.path.to_owned(),
+            hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
+            seed: file.seed,
+            speckle: file.speckle,
+            write_frames: file.write_frames,
+            mesh,
+            surface: Lambert { reflectance },
+            world_from_part: Rigid::from_euler_xyz(DVec3::new(rx, ry, rz), position.into()),
+            laser,
+            head_from_laser,
+            camera,
+            head_from_camera,
+            scan: LinearScan {
+                start: self.finite(file.scan.start_mm, "scan.start_mm")?.into(),
+                step: direction * step,
+                frames: file.scan.frames,
+            },
+        })
+    }
+
+    /// The part's mesh, and the bytes that stand for a mesh file in the hash.
+    fn mesh(&self, part: &PartTable) -> Result<(Mesh, Vec<u8>)> {
+        let kinds = [
+            part.mesh.is_some(),
+            part.plane.is_some(),
+            part.sphere.is_some(),
+            part.cylinder.is_some(),
+            part.step_block.is_some(),
+        ];
+        self.check(
+            kinds.iter().filter(|&&given| given).count() == 1,
+            "part",
+            "exactly one of mesh, plane, sphere, cylinder and step_block",
+        )?;
+        let shape = |key: &str, shape: std::result::Result<Mesh, String>| match shape {
+            Ok(mesh) => Ok((mesh, Vec::new())),
+            Err(expected) => Err(self.source.wrong(key, &expected)),
+        };
+        if let Some(table) = &part.mesh {
+            let folder = self.path.parent().unwrap_or(Path::new(""));
+            let file = folder.join(&table.file);
+            let bytes = std::fs::read(&file).map_err(|error| match error.kind() {
+                std::io::ErrorKind::NotFound => self.source.wrong(
+                    "part.mesh.file",
+                    &format!("a mesh file; there is none at {}", file.display()),
+                ),
+                _ => Error::io("read", &file)(error),
+            })?;
+            let mesh = mesh::parse(&file, &bytes, unit_mm(table.unit))?;
+            return Ok((mesh, Sha256::digest(&bytes).to_vec()));
+        }
+        if let Some(table) = &part.plane {
+            return shape("part.plane.size_mm", shapes::plane(table.size_mm.into()));
+        }
+        if let Some(table) = &part.sphere {
+            let chord = table.chord_um * 1e-3;
+            return shape("part.sphere", shapes::sphere(table.radius_mm, chord));
+        }
+        if let Some(table) = &part.cylinder {
+            let chord = table.chord_um * 1e-3;
+            return shape(
+                "part.cylinder",
+                shapes::cylinder(table.radius_mm, table.length_mm, chord),
+            );
+        }
+        let table = part.step_block.as_ref().expect("one of them is given");
+        shape(
+            "part.step_block",
+            shapes::step_block(table.size_mm.into(), table.step_mm),
+        )
+    }
+
+    fn laser(&self, table: &LaserTable) -> Result<Laser> {
+        let beam = Beam {
+            wavelength: self.positive(table.wavelength_nm, "laser.wavelength_nm")? * 1e-6,
+            power_mw: table.power_mw,
+            waist_radius: self.positive(table.waist_radius_um, "laser.waist_radius_um")? * 1e-3,
+            waist_distance: table.waist_distance_mm,
+            m_squared: table.m_squared,
+        };
+        self.finite([table.waist_distance_mm], "laser.waist_distance_mm")?;
+        self.check(
+            table.power_mw.is_finite() && table.power_mw >= 0.0,
+            "laser.power_mw",
+            "a finite number >= 0",
+        )?;
+        self.check(
+            table.m_squared.is_finite() && table.m_squared >= 1.0,
+            "laser.m_squared",
+            "a finite number >= 1",
+        )?;
+        let smallest = 2.0 * beam.m_squared * beam.wavelength / std::f64::consts::PI * 1e3;
+        self.check(
+            beam.divergence() <= 0.5,
+            "laser.waist_radius_um",
+            &format!(
+                "at least {smallest:.4}: below, the beam spreads by more than 0.5 rad and \
+                 is not paraxial"
+            ),
+        )?;
+        let Some(line) = &table.line else {
+            return Ok(Laser { beam, fan: None });
+        };
+        self.check(
+            line.fan_deg > 0.0 && line.fan_deg < 180.0,
+            "laser.line.fan_deg",
+            "an angle above 0 and below 180",
+        )?;
+        let fan = Fan {
+            angle: line.fan_deg.to_radians(),
+            profile: match line.profile {
+                ProfileName::Uniform => FanProfile::Uniform,
+                ProfileName::Gaussian => FanProfile::Gaussian,
+            },
+        };
+        Ok(Laser {
+            beam,
+            fan: Some(fan),
+        })
+    }
+
+    /// A point laser has no line direction of its own: its measuring plane is the
+    /// one through the beam along the camera's columns.
+    fn laser_pose(&self, table: &LaserTable, head_from_camera: &Rigid) -> Result<Rigid> {
+        let origin = self.finite(table.position_mm, "laser.position_mm")?;
+        let z = self.direction(table.direction, "laser.direction")?;
+        let (line, key) = match &table.line {
+            Some(line) => (
+                self.direction(line.direction, "laser.line.direction")?,
+                "laser.line.direction",
+            ),
+            None => (head_from_camera.rotation.x_axis, "laser.direction"),
+        };
+        Rigid::from_z_and_x(origin.into(), z, line).ok_or_else(|| {
+            self.source.wrong(
+                key,
+                "the line (a point laser: the camera's columns) not to be along the beam",
+            )
+        })
+    }
+
+    fn camera(&self, table: &CameraTable) -> Result<Camera> {
+        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
+        let lens = Lens {
+            focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
+            f_number: positive(table.f_number, "f_number")?,
+            focus_distance: positive(table.focus_distance_mm, "focus_distance_mm")?,
+        };
+        self.check(
+            lens.focus_distance > lens.focal_length,
+            "camera.focus_distance_mm",
+            "a distance beyond the focal length",
+        )?;
+        let [columns, rows] = table.resolution_px;
+        self.check(
+            (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
+            "camera.resolution_px",
+            "from 1 to 65536 columns and rows",
+        )?;
+        let tilt = self.finite(table.tilt_deg, "camera.tilt_deg")?;
+        self.check(
+            tilt.iter().all(|t| t.abs() <= 80.0),
+            "camera.tilt_deg",
+            "angles from -80 to 80",
+        )?;
+        let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
+        self.check(
+            efficiency <= 1.0,
+            "camera.quantum_efficiency",
+            "a number above 0 and at most 1",
+        )?;
+        self.check(
+            (8..=16).contains(&table.bit_depth),
+            "camera.bit_depth",
+            "from 8 to 16",
+        )?;
+        let not_negative = |value: f64, key: &str| {
+            let holds = value.is_finite() && value >= 0.0;
+            self.check(holds, &format!("camera.{key}"), "a finite number >= 0")
+                .map(|()| value)
+        };
+        let noise = match table.read_noise_e {
+            Some(e) => Some(Noise {
+                read_noise_e: not_negative(e, "read_noise_e")?,
+            }),
+            None => None,
+        };
+        let sensor = Sensor {
+            resolution: UVec2::new(columns, rows),
+            pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
+            exposure_ms: positive(table.exposure_ms, "exposure_ms")?,
+            quantum_efficiency: efficiency,
+            gain_dn_per_e: positive(table.gain_dn_per_e, "gain_dn_per_e")?,
+            bit_depth: table.bit_depth,
+            full_well_e: positive(table.full_well_e, "full_well_e")?,
+            black_level_dn: not_negative(table.black_level_dn, "black_level_dn")?,
+            noise,
+        };
+        let camera = Camera {
+            lens,
+            sensor,
+            tilt: DVec2::from(tilt).map(f64::to_radians),
+        };
+        // A tilted sensor must stay in front of the lens it is drawn before.
+        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
+        self.check(
+            corners
+                .iter()
+                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
+            "camera.tilt_deg",
+            "a tilt at which the sensor's corners stay behind the lens",
+        )?;
+        Ok(camera)
+    }
+
+    fn camera_pose(&self, table: &CameraTable) -> Result<Rigid> {
+        let origin: DVec3 = self.finite(table.position_mm, "camera.position_mm")?.into();
+        let target: DVec3 = self.finite(table.look_at_mm, "camera.look_at_mm")?.into();
+        let columns = self.direction(table.columns, "camera.columns")?;
+        let z = (target - origin).try_normalize().ok_or_else(|| {
+            self.source
+                .wrong("camera.look_at_mm", "another point than camera.position_mm")
+        })?;
+        Rigid::from_z_and_x(origin, z, columns).ok_or_else(|| {
+            self.source
+                .wrong("camera.columns", "a direction that is not the optical axis")
+        })
+    }
+
+    /// Height shows in a column as far as the camera stands off the laser plane,
+    /// and a column holds one point of a line only if the line crosses it.
+    fn triangulation(&self, head_from_laser: &Rigid, head_from_camera: &Rigid) -> Result<()> {
+        let normal = head_from_laser.rotation.y_axis;
+        let offset = normal.dot(head_from_camera.translation - head_from_laser.translation);
+        self.check(
+            offset.abs() > 1e-3,
+            "camera.position_mm",
+            "a point off the laser plane (by more than 1 µm): in it, height does not show",
+        )?;
+        let columns = head_from_camera.rotation.x_axis;
+        let line = head_from_laser.rotation.x_axis;
+        self.check(
+            columns.dot(line).abs() > 0.5f64.sqrt(),
+            "camera.columns",
+            "a direction within 45° of the laser line, so that each column sees one point of it",
+        )
+    }
+}
+
+fn unit_mm(unit: Unit) -> f64 {
+    match unit {
+        Unit::Micrometre => 1e-3,
+        Unit::Millimetre => 1.0,
+        Unit::Centimetre => 10.0,
+        Unit::Metre => 1000.0,
+        Unit::Inch => 25.4,
+    }
+}
