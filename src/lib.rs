@@ -1,10 +1,43 @@
 //! lasertrace: from a CAD mesh and a description of a laser-triangulation sensor
-//! to the images it would take and the points it would measure.
+//! to the images it would take and the 3D points it would measure.
+//!
+//! ```text
+//! scene file → Scene → mesh → accel (BVH) → laser light → integrator × speckle
+//!   → sensor image → peak → profile → point cloud → deviation → report
+//! ```
+//!
+//! Lengths are millimetres, angles radians, irradiance mW/mm²; a quantity in
+//! another unit carries it in its name. Frames are right-handed, and transforms
+//! are named `to_from_from` (`world_from_head`):
+//!
+//! ```text
+//! world   the scene's own
+//! part    the CAD mesh's; rays are traced in it
+//! head    carries laser and camera; moves through the world
+//! laser   z along the beam, x along the line, y across the sheet
+//! camera  z along the optical axis, x to higher columns, y to higher rows
+//! image   (column, row); pixel (i, j) covers [i, i+1] × [j, j+1]
+//!
+//!          laser                   camera
+//!            ┌─┐ aperture           ╱╲
+//!            └┬┘──→ x (line)       ╱  ╲ pupil
+//!             │                    ╲ ╱──→ x (columns)
+//!             │ z (beam)           ↙
+//!             ↓                 z (axis)
+//!      ───────┴────── surface ────────────
+//! ```
+
 pub mod accel;
+pub mod batch;
 pub mod camera;
+pub mod cli;
 pub mod error;
+pub mod inspect;
+pub mod integrator;
 pub mod laser;
 pub mod math;
 pub mod mesh;
+pub mod profile;
 pub mod scene;
+pub mod speckle;
 pub mod surface;

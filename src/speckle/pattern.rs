@@ -1,0 +1,237 @@
+//! One speckle pattern after Duncan & Kirkpatrick (2008): random unit phasors
+//! inside a pupil, Fourier transformed.
+
+use crate::error::{Error, Result};
+use crate::math::DVec2;
+use crate::math::rng::{Key, Purpose};
+use rustfft::num_complex::Complex32;
+use rustfft::{Fft, FftPlanner};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Shape of the lens aperture. Its width is the pupil diameter D.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Aperture {
+    Circle,
+    /// `ratio` = height / width, in (0, 1]; the grain is 1/`ratio` times as
+    /// long in t as in s.
+    Ellipse {
+        ratio: f64,
+    },
+    Square,
+}
+
+impl Aperture {
+    /// Height / width.
+    pub fn ratio(&self) -> f64 {
+        match *self {
+            Aperture::Ellipse { ratio } => ratio,
+            Aperture::Circle | Aperture::Square => 1.0,
+        }
+    }
+
+    /// Whether `p`, in pupil widths and heights from the centre, is open.
+    fn contains(&self, p: DVec2) -> bool {
+        match self {
+            Aperture::Circle | Aperture::Ellipse { .. } => p.length_squared() <= 0.25,
+            // Half open: a square d texels wide holds d columns wherever its
+            // centre lies, not d + 1 when edges meet texels.
+            Aperture::Square => (-0.5..0.5).contains(&p.x) && (-0.5..0.5).contains(&p.y),
+        }
+    }
+}
+
+/// What a set of speckle patterns is made from; equal specs give equal bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct PatternSpec {
+    /// N, texels along each side; a power of two. The pattern repeats after N.
+    pub size: usize,
+    /// N/d, texels per minimal speckle size; at least 2, where the intensity
+    /// is sampled at its Nyquist rate.
+    pub texels_per_speckle: f64,
+    pub aperture: Aperture,
+    /// Correlation slices along the closed path; a power of two.
+    pub slices: usize,
+    pub seed: u64,
+}
+
+impl Default for PatternSpec {
+    fn default() -> Self {
+        PatternSpec {
+            size: 1024,
+            texels_per_speckle: 4.0,
+            aperture: Aperture::Circle,
+            slices: 64,
+            seed: 0,
+        }
+    }
+}
+
+impl PatternSpec {
+    /// Width d of the pupil, texels.
+    pub fn pupil_width(&self) -> f64 {
+        self.size as f64 / self.texels_per_speckle
+    }
+
+    /// Refuses a spec no pattern can be made from, saying what was found and
+    /// what was expected.
+    pub fn validate(&self) -> Result<()> {
+        let refuse = |key: &str, found: String, expected: &str| {
+            Err(Error::Usage(format!(
+                "speckle {key}: found {found}, expected {expected}"
+            )))
+        };
+        let height = self.pupil_width() * self.aperture.ratio();
+        let ratio = self.aperture.ratio();
+        if !self.size.is_power_of_two() || !(64..=8192).contains(&self.size) {
+            let expected = "a power of two from 64 to 8192";
+            return refuse("size", self.size.to_string(), expected);
+        }
+        if !self.slices.is_power_of_two() || !(8..=1024).contains(&self.slices) {
+            let expected = "a power of two from 8 to 1024";
+            return refuse("slices", self.slices.to_string(), expected);
+        }
+        if !(ratio > 0.0 && ratio <= 1.0) {
+            return refuse("aperture ratio", ratio.to_string(), "a number in (0, 1]");
+        }
+        // Fewer than 16 phasors across are no longer fully developed speckle
+        // of the aperture's shape.
+        if !(self.texels_per_speckle >= 2.0 && height >= 16.0) {
+            let most = self.size as f64 * ratio / 16.0;
+            let expected = format!("a number from 2 to {most}");
+            return refuse(
+                "texels_per_speckle",
+                self.texels_per_speckle.to_string(),
+                &expected,
+            );
+        }
+        Ok(())
+    }
+}
+
+/// Complex speckle field over one period, N × N, row t, column s.
+#[derive(Debug, Clone)]
+pub struct Pattern {
+    pub size: usize,
+    /// Amplitudes A(s,t); |A|² has mean 1.
+    pub field: Vec<Complex32>,
+    /// Texel of the random plane taken as zero frequency, so that the field
+    /// is centred on its band.
+    pub carrier: [i64; 2],
+    /// Phasors inside the pupil; also the number of independent speckles.
+    pub phasors: usize,
+}
+
+impl Pattern {
+    pub fn intensity(&self) -> impl Iterator<Item = f32> + '_ {
+        self.field.iter().map(Complex32::norm_sqr)
+    }
+}
+
+/// An endless plane of unit phasors exp(iφ), φ uniform and independent from
+/// texel to texel, seen through a pupil that may be placed anywhere on it.
+pub struct PhasorPlane {
+    spec: PatternSpec,
+    key: Key,
+    fft: Arc<dyn Fft<f32>>,
+}
+
+impl PhasorPlane {
+    /// `spec` must have passed [`PatternSpec::validate`].
+    pub fn new(spec: &PatternSpec) -> PhasorPlane {
+        PhasorPlane {
+            spec: *spec,
+            key: Key::new(spec.seed, Purpose::SpecklePattern),
+            fft: FftPlanner::new().plan_fft_inverse(spec.size),
+        }
+    }
+
+    /// Unit phasor of texel (x, y) of the plane.
+    fn phasor(&self, x: i64, y: i64) -> Complex32 {
+        let counter = (y as u32 as u64) << 32 | x as u32 as u64;
+        let (sin, cos) = (std::f64::consts::TAU * self.key.uniform(counter)).sin_cos();
+        Complex32::new(cos as f32, sin as f32)
+    }
+
+    /// Whether the pupil centred at `centre` (texels) lets texel (x, y) pass.
+    fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
+        let width = self.spec.pupil_width();
+        let height = width * self.spec.aperture.ratio();
+        let offset = DVec2::new(x as f64, y as f64) - centre;
+        self.spec
+            .aperture
+            .contains(offset / DVec2::new(width, height))
+    }
+
+    /// Offsets from the carrier a pupil can reach, plus rounding of the carrier.
+    fn reach(&self) -> i64 {
+        (self.spec.pupil_width() / 2.0) as i64 + 1
+    }
+
+    /// Phasors two placements of the pupil have in common. Over one period
+    /// Σ A₁·conj(A₂) is exactly this number (Parseval, unit phasors), so it
+    /// is the field correlation of the two patterns without sampling error.
+    pub fn shared(&self, a: DVec2, b: DVec2) -> usize {
+        let [x0, y0] = carrier(a);
+        let reach = self.reach();
+        (y0 - reach..=y0 + reach)
+            .flat_map(|y| (x0 - reach..=x0 + reach).map(move |x| (x, y)))
+            .filter(|&(x, y)| self.open(a, x, y) && self.open(b, x, y))
+            .count()
+    }
+
+    /// The pattern of the pupil centred at `centre` (texels of the plane),
+    /// A(s,t) = n^(−½)·Σ φ(x,y)·exp(2πi((x−x₀)s + (y−y₀)t)/N) over its n
+    /// phasors, (x₀,y₀) the centre rounded to a texel (Duncan & Kirkpatrick
+    /// 2008). The scale is the ensemble's; no sample mean is divided out,
+    /// and none need be: with unit phasors the mean of |A|² over a whole
+    /// period is 1 by Parseval. (Over a part of the period it fluctuates, as
+    /// real speckle does over a finite detector.)
+    pub fn pattern(&self, centre: DVec2) -> Pattern {
+        let size = self.spec.size;
+        let origin = carrier(centre);
+        let reach = self.reach();
+        let wrap = |offset: i64| offset.rem_euclid(size as i64) as usize;
+
+        // One line per pupil column x, transformed along y: all other
+        // columns are zero and stay so.
+        let columns = (2 * reach + 1) as usize;
+        let mut lines = vec![Complex32::ZERO; columns * size];
+        let mut phasors = 0;
+        for (line, dx) in lines.chunks_exact_mut(size).zip(-reach..) {
+            for dy in -reach..=reach {
+                let (x, y) = (origin[0] + dx, origin[1] + dy);
+                if self.open(centre, x, y) {
+                    line[wrap(dy)] = self.phasor(x, y);
+                    phasors += 1;
+                }
+            }
+        }
+        let mut scratch = vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()];
+        self.fft.process_with_scratch(&mut lines, &mut scratch);
+
+        let scale = 1.0 / (phasors as f32).sqrt();
+        let mut field = vec![Complex32::ZERO; size * size];
+        // Eight rows at a time: one cache line of each column serves them all.
+        for (block, rows) in field.chunks_exact_mut(8 * size).enumerate() {
+            for (line, dx) in lines.chunks_exact(size).zip(-reach..) {
+                let values = &line[8 * block..8 * block + 8];
+                for (row, value) in rows.chunks_exact_mut(size).zip(values) {
+                    row[wrap(dx)] = value * scale;
+                }
+            }
+        }
+        self.fft.process_with_scratch(&mut field, &mut scratch);
+        Pattern {
+            size,
+            field,
+            carrier: origin,
+            phasors,
+        }
+    }
+}
+
+fn carrier(centre: DVec2) -> [i64; 2] {
+    [centre.x.round() as i64, centre.y.round() as i64]
+}
