@@ -6,7 +6,7 @@ use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::speckle::Speckle;
+use crate::speckle::lookup::{Coordinate, Lookup};
 use crate::surface::Lambert;
 use rayon::prelude::*;
 
@@ -19,9 +19,26 @@ pub struct View<'a> {
     pub camera: &'a Camera,
     pub part_from_camera: Rigid,
     /// `None`: the light is taken as incoherent.
-    pub speckle: Option<&'a Speckle>,
+    pub speckle: Option<Speckle<'a>>,
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
+}
+
+/// Speckle patterns and the scale at which the sensor sees them.
+#[derive(Clone, Copy)]
+pub struct Speckle<'a> {
+    pub lookup: &'a Lookup,
+    /// α₂ = (N/d)·pitch/h, texels of the pattern per pixel (Bergmann et al. 2016).
+    pub texels_per_pixel: f64,
+}
+
+impl Speckle<'_> {
+    /// Speckle intensity (mean 1) at a place on the sensor.
+    fn intensity(&self, pixel: DVec2) -> f64 {
+        let at = pixel * self.texels_per_pixel;
+        let (s, t) = at.into();
+        self.lookup.intensity(Coordinate { s, t, u: 0.0 }) as f64
+    }
 }
 
 /// Irradiance on the sensor averaged over each pixel, mW/mm², row by row.
@@ -138,7 +155,7 @@ impl<'a> Frame<'a> {
                 continue;
             };
             let radiance = self.view.surface.radiance(received);
-            let speckle = self.view.speckle.map_or(1.0, |s| s.factor(*pixel));
+            let speckle = self.view.speckle.map_or(1.0, |s| s.intensity(*pixel));
             shadow_rays[count] = shadow_ray;
             lit[count] = Lit {
                 column: pixel.x as usize,

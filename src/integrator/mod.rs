@@ -4,6 +4,6 @@ mod direct;
 pub mod plan;
 mod truth;
 
-pub use direct::{View, irradiance_image};
+pub use direct::{Speckle, View, irradiance_image};
 pub use plan::Plan;
 pub use truth::{Truth, truth_layers};

@@ -1,0 +1,78 @@
+//! One frame with its truth, for looking at and for learning from.
+
+use super::{Control, Simulation, files};
+use crate::error::{Error, Result};
+use crate::inspect::picture::encode_counts;
+use crate::integrator::truth_layers;
+use crate::scene::Scene;
+use exr::prelude::*;
+use serde::Serialize;
+use std::io;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Serialize)]
+pub struct RenderSummary {
+    pub frame: u32,
+    pub png: PathBuf,
+    pub exr: PathBuf,
+    pub max_count: u16,
+    pub mean_count: f64,
+}
+
+/// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
+/// the truth layers) to `out`.
+pub fn render(scene: &Scene, frame: u32, out: &Path, control: &Control) -> Result<RenderSummary> {
+    if frame >= scene.scan.frames {
+        return Err(Error::Usage(format!(
+            "--frame {frame}: the scan of {} has frames 0 to {}",
+            scene.path.display(),
+            scene.scan.frames - 1
+        )));
+    }
+    files::create_folder(out)?;
+    let simulation = Simulation::new(scene)?;
+    control.check()?;
+    let irradiance = simulation.irradiance(frame);
+    let counts = simulation.counts(frame, &irradiance);
+    let truth = truth_layers(&simulation.view(frame));
+    control.check()?;
+    let resolution = scene.camera.sensor.resolution;
+    let png = out.join(format!("frame-{frame:06}.png"));
+    let exr_path = png.with_extension("exr");
+    files::write_bytes(&png, &encode_counts(&counts, resolution.x as usize))?;
+    let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
+    let channels = [
+        ("irradiance", FlatSamples::F32(irradiance)),
+        ("depth", FlatSamples::F32(truth.depth)),
+        ("position.X", component(&truth.position, 0)),
+        ("position.Y", component(&truth.position, 1)),
+        ("position.Z", component(&truth.position, 2)),
+        ("normal.X", component(&truth.normal, 0)),
+        ("normal.Y", component(&truth.normal, 1)),
+        ("normal.Z", component(&truth.normal, 2)),
+        ("triangle", FlatSamples::U32(truth.triangle)),
+    ];
+    let channels = AnyChannels::sort(
+        channels
+            .into_iter()
+            .map(|(name, samples)| AnyChannel::new(name, samples))
+            .collect(),
+    );
+    let size = (resolution.x as usize, resolution.y as usize);
+    files::write(&exr_path, |file| {
+        Image::from_channels(size, channels)
+            .write()
+            .to_buffered(file)
+            .map_err(|error| match error {
+                exr::error::Error::Io(io) => io,
+                other => io::Error::other(other),
+            })
+    })?;
+    Ok(RenderSummary {
+        frame,
+        png,
+        exr: exr_path,
+        max_count: counts.iter().copied().max().unwrap_or(0),
+        mean_count: counts.iter().map(|&c| c as f64).sum::<f64>() / counts.len() as f64,
+    })
+}

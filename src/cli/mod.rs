@@ -1,0 +1,137 @@
+//! The command line: one file a command.
+
+mod check;
+mod render;
+mod scan;
+
+use crate::error::{Error, Result};
+use clap::{Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static STOP: AtomicBool = AtomicBool::new(false);
+
+#[derive(Parser)]
+#[command(version, about, after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
+    70 internal, 74 input/output, 75 temporary (disk full, interrupted): run again.")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Threads to use [default: all cores]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// No progress bar
+    #[arg(long, global = true)]
+    quiet: bool,
+    /// Print one JSON object on stdout instead of text
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Validate a scene; print it resolved, with mesh report and plan
+    Check(check::Arguments),
+    /// Render one frame: sensor counts (PNG), irradiance and truth (EXR)
+    Render(render::Arguments),
+    /// Run the whole scan: point cloud, deviation from CAD, report
+    Scan(scan::Arguments),
+    /// Print the JSON Schema of the scene file
+    Schema,
+}
+
+/// A scene file and what may be changed about it on the command line.
+#[derive(clap::Args)]
+struct SceneArguments {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// Seed to use instead of the scene's
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+}
+
+impl SceneArguments {
+    fn load(&self) -> Result<crate::scene::Scene> {
+        let mut scene = crate::scene::Scene::load(&self.scene)?;
+        scene.seed = self.seed.unwrap_or(scene.seed);
+        Ok(scene)
+    }
+}
+
+/// What all commands share.
+struct Output {
+    quiet: bool,
+    json: bool,
+}
+
+impl Output {
+    /// A progress bar on stderr if that is a terminal.
+    fn progress(&self, frames: u64) -> ProgressBar {
+        let bar = ProgressBar::new(frames);
+        if self.quiet || !std::io::stderr().is_terminal() {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left");
+        bar.with_style(style.expect("the template is valid"))
+    }
+
+    /// The result on stdout: `value` as JSON, or `text`.
+    fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
+        let text = match self.json {
+            true => serde_json::to_string(value).expect("results are JSON"),
+            false => text.trim_end().to_owned(),
+        };
+        writeln!(std::io::stdout(), "{text}").map_err(Error::io("write to", "stdout".as_ref()))
+    }
+}
+
+/// Parses the arguments, runs the command, returns the exit code.
+pub fn run() -> u8 {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version are no errors and go to stdout.
+            let _ = error.print();
+            return if error.use_stderr() { 64 } else { 0 };
+        }
+    };
+    match execute(cli) {
+        Ok(()) => 0,
+        Err(error) => {
+            eprintln!("lasertrace: {error}");
+            error.exit_code()
+        }
+    }
+}
+
+fn execute(cli: Cli) -> Result<()> {
+    ctrlc::set_handler(|| {
+        // The second time, at once.
+        if STOP.swap(true, Ordering::Relaxed) {
+            std::process::exit(75);
+        }
+    })
+    .expect("no other handler is set");
+    let output = Output {
+        quiet: cli.quiet,
+        json: cli.json,
+    };
+    let threads = cli.threads.map_or(0, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|error| Error::Usage(format!("cannot start {threads} threads: {error}")))?;
+    pool.install(|| match cli.command {
+        Command::Check(arguments) => check::run(arguments, &output),
+        Command::Render(arguments) => render::run(arguments, &output),
+        Command::Scan(arguments) => scan::run(arguments, &output),
+        Command::Schema => {
+            let schema = crate::scene::schema();
+            let value: serde_json::Value =
+                serde_json::from_str(&schema).expect("the schema is JSON");
+            output.result(&value, &schema)
+        }
+    })
+}

@@ -1,0 +1,34 @@
+use super::{Output, STOP, SceneArguments};
+use crate::batch::{self, Control};
+use crate::error::Result;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Frame of the scan, from 0
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    frame: u32,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load()?;
+    let control = Control {
+        progress: &|_| {},
+        stop: &STOP,
+    };
+    let summary = batch::render(&scene, arguments.frame, &arguments.output, &control)?;
+    let text = format!(
+        "frame {}: counts up to {}, {:.3} on average\n{}\n{}",
+        summary.frame,
+        summary.max_count,
+        summary.mean_count,
+        summary.png.display(),
+        summary.exr.display()
+    );
+    output.result(&summary, &text)
+}

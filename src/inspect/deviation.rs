@@ -1,0 +1,88 @@
+//! How far measured points lie from the CAD surface.
+
+use crate::accel::{Accel, facing_normal};
+use crate::math::DVec3;
+use serde::Serialize;
+
+/// Signed distance (mm) from `point` to the nearest point of the mesh, positive
+/// on the side from which `eye` sees the surface there: a mesh's own winding
+/// need not be right.
+pub fn signed_distance(accel: &Accel, point: DVec3, eye: DVec3) -> f64 {
+    let nearest = accel.nearest(point);
+    let corners = accel.mesh().triangle(nearest.triangle as usize);
+    let outward = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
+    if outward.dot(point - nearest.point) < 0.0 {
+        -nearest.distance
+    } else {
+        nearest.distance
+    }
+}
+
+/// Statistics of signed deviations, µm.
+#[derive(Debug, Clone, Serialize)]
+pub struct DeviationStatistics {
+    pub points: usize,
+    pub mean_um: f64,
+    pub std_um: f64,
+    pub rms_um: f64,
+    pub min_um: f64,
+    pub max_um: f64,
+    /// (percentile, deviation).
+    pub percentiles_um: Vec<(f64, f64)>,
+}
+
+impl DeviationStatistics {
+    /// `None` without points.
+    pub fn of(deviations_mm: impl IntoIterator<Item = f64>) -> Option<DeviationStatistics> {
+        let mut sorted: Vec<f64> = deviations_mm.into_iter().map(|d| d * 1e3).collect();
+        sorted.sort_by(f64::total_cmp);
+        let (&min_um, &max_um) = (sorted.first()?, sorted.last()?);
+        let n = sorted.len() as f64;
+        let mean = sorted.iter().sum::<f64>() / n;
+        let variance = sorted.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / n;
+        // Nearest rank.
+        let at = |p: f64| sorted[((p / 100.0 * n).ceil() as usize).clamp(1, sorted.len()) - 1];
+        Some(DeviationStatistics {
+            points: sorted.len(),
+            mean_um: mean,
+            std_um: variance.sqrt(),
+            rms_um: (variance + mean * mean).sqrt(),
+            min_um,
+            max_um,
+            percentiles_um: [1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0]
+                .map(|p| (p, at(p)))
+                .to_vec(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Mesh;
+
+    #[test]
+    fn the_sign_follows_the_eye_whatever_the_winding() {
+        for triangle in [[0, 1, 2], [0, 2, 1]] {
+            let mesh = Mesh {
+                positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+                triangles: vec![triangle],
+            };
+            let accel = Accel::build(&mesh, 1).unwrap();
+            let above = DVec3::new(0.2, 0.2, 0.01);
+            let eye = DVec3::new(0.0, 0.0, 50.0);
+            assert!((signed_distance(&accel, above, eye) - 0.01).abs() < 1e-12);
+            assert!((signed_distance(&accel, above, -eye) + 0.01).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn statistics_of_one_to_a_hundred() {
+        let s = DeviationStatistics::of((1..=100).map(|i| i as f64 * 1e-3)).unwrap();
+        assert_eq!((s.points, s.min_um, s.max_um), (100, 1.0, 100.0));
+        assert!((s.mean_um - 50.5).abs() < 1e-9);
+        assert!((s.std_um - (9999.0f64 / 12.0).sqrt()).abs() < 1e-9);
+        assert_eq!(s.percentiles_um[3], (50.0, 50.0));
+        assert!(DeviationStatistics::of([]).is_none());
+    }
+}

@@ -1,0 +1,8 @@
+//! The measurement against the CAD: point cloud, deviation, report. The only
+//! place where what was measured meets what is true.
+
+pub mod chart;
+pub mod cloud;
+pub mod deviation;
+pub mod picture;
+pub mod report;

@@ -1,0 +1,138 @@
+//! Pictures for the report: sensor frames, and the cloud over the shaded part.
+
+use super::cloud::CloudPoint;
+use crate::accel::{Accel, Ray, WIDTH};
+use crate::math::DVec3;
+use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use rayon::prelude::*;
+
+/// PNG of an 8-bit RGB picture, row by row.
+fn encode_rgb(pixels: &[[u8; 3]], width: usize) -> Vec<u8> {
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(
+            pixels.as_flattened(),
+            width as u32,
+            (pixels.len() / width) as u32,
+            ExtendedColorType::Rgb8,
+        )
+        .expect("writing to memory does not fail");
+    png
+}
+
+/// PNG of 16-bit sensor counts as they are, row by row.
+pub fn encode_counts(counts: &[u16], width: usize) -> Vec<u8> {
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(
+            // The encoder takes native-endian samples and swaps them itself.
+            &counts
+                .iter()
+                .flat_map(|c| c.to_ne_bytes())
+                .collect::<Vec<u8>>(),
+            width as u32,
+            (counts.len() / width) as u32,
+            ExtendedColorType::L16,
+        )
+        .expect("writing to memory does not fail");
+    png
+}
+
+/// PNG of counts for people: 8 bits, gamma 2.2, so that faint light shows.
+pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> {
+    let pixels: Vec<[u8; 3]> = counts
+        .iter()
+        .map(|&c| {
+            let level = (c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0;
+            [level.round() as u8; 3]
+        })
+        .collect();
+    encode_rgb(&pixels, width)
+}
+
+/// Colour of `value` between -limit (blue) over 0 (pale yellow) to +limit (red).
+pub fn diverging_color(value: f64, limit: f64) -> [u8; 3] {
+    const BLUE: [f64; 3] = [49.0, 54.0, 149.0];
+    const MIDDLE: [f64; 3] = [255.0, 255.0, 191.0];
+    const RED: [f64; 3] = [165.0, 0.0, 38.0];
+    let x = (value / limit).clamp(-1.0, 1.0);
+    let end = if x < 0.0 { BLUE } else { RED };
+    std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * x.abs()).round() as u8)
+}
+
+/// A parallel view of the part: `right` and `down` are unit vectors across each
+/// other in the part's frame.
+#[derive(Debug, Clone, Copy)]
+pub struct ParallelView {
+    pub right: DVec3,
+    pub down: DVec3,
+}
+
+/// PNG of the part in grey with the cloud's points coloured by deviation
+/// (±`limit`, mm). Points behind the surface are hidden.
+pub fn cloud_picture(
+    accel: &Accel,
+    points: &[CloudPoint],
+    view: ParallelView,
+    limit: f64,
+    width: usize,
+) -> Vec<u8> {
+    let bounds = accel.bounds();
+    let into = view.right.cross(view.down);
+    let extent = |axis: DVec3| {
+        let along = bounds.corners().map(|c| c.dot(axis));
+        let low = along.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        (low, high)
+    };
+    let (left, right) = extent(view.right);
+    let (top, bottom) = extent(view.down);
+    let (near, far) = extent(into);
+    let margin = 0.04 * (right - left).max(bottom - top);
+    let scale = width as f64 / (right - left + 2.0 * margin);
+    let height = (((bottom - top + 2.0 * margin) * scale).ceil() as usize).clamp(1, 4 * width);
+    let start = near - (far - near) * 0.1 - margin;
+
+    let mut pixels = vec![[250u8; 3]; width * height];
+    let mut depth = vec![f64::INFINITY; width * height];
+    pixels
+        .par_chunks_mut(width)
+        .zip(depth.par_chunks_mut(width))
+        .enumerate()
+        .for_each(|(y, (pixels, depth))| {
+            let rays: Vec<Ray> = (0..width)
+                .map(|x| Ray {
+                    origin: view.right * (left - margin + (x as f64 + 0.5) / scale)
+                        + view.down * (top - margin + (y as f64 + 0.5) / scale)
+                        + into * start,
+                    direction: into,
+                    t_max: f64::INFINITY,
+                })
+                .collect();
+            for (i, packet) in rays.chunks(WIDTH).enumerate() {
+                for (j, hit) in accel.closest(packet)[..packet.len()].iter().enumerate() {
+                    if let Some(hit) = hit {
+                        let light = hit.normal.dot((view.right * -0.4 + view.down * -0.5 - into).normalize());
+                        let grey = 70.0 + 110.0 * light.max(0.0);
+                        pixels[i * WIDTH + j] = [grey as u8; 3];
+                        depth[i * WIDTH + j] = hit.t;
+                    }
+                }
+            }
+        });
+
+    let tolerance = 0.01 * bounds.size().length();
+    for point in points {
+        let p = point.position;
+        let x = (p.dot(view.right) - left + margin) * scale;
+        let y = (p.dot(view.down) - top + margin) * scale;
+        if !(x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height) {
+            continue;
+        }
+        let i = y as usize * width + x as usize;
+        if p.dot(into) - start <= depth[i] + tolerance {
+            pixels[i] = diverging_color(point.deviation, limit);
+        }
+    }
+    encode_rgb(&pixels, width)
+}

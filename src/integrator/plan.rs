@@ -1,0 +1,260 @@
+//! Which effects are modelled and how finely, and why: no more than the scene
+//! needs.
+
+use crate::camera::Camera;
+use crate::laser::Laser;
+use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use serde::Serialize;
+use std::f64::consts::PI;
+
+/// What a frame of this scene needs.
+#[derive(Debug, Clone, Serialize)]
+pub struct Plan {
+    /// Samples along each side of a pixel.
+    pub samples_per_side: u32,
+    /// 1/e² half width of the line's image where it is narrowest on the part, for
+    /// a surface across the beam, pixels.
+    pub line_half_width_px: f64,
+    /// Minimal speckle size h on the sensor, pixels.
+    pub speckle_size_px: f64,
+    /// Blur of the lens where the laser plane crosses the part, at its largest,
+    /// pixels; not modelled.
+    pub defocus_blur_px: f64,
+    /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
+    pub airy_radius_px: f64,
+    /// Movement of the line's image for 1 mm along the beam, pixels per mm.
+    pub px_per_mm: f64,
+    /// Tilt that brings the laser plane into focus, degrees.
+    pub scheimpflug_tilt_deg: Option<[f64; 2]>,
+    /// Distance along the optical axis at which the laser plane meets it, mm: to
+    /// be in focus with that tilt, the lens must be focused there.
+    pub laser_plane_distance_mm: Option<f64>,
+    pub effects: Vec<Effect>,
+}
+
+/// One line of the plan.
+#[derive(Debug, Clone, Serialize)]
+pub struct Effect {
+    pub effect: &'static str,
+    pub modelled: bool,
+    pub method: String,
+    pub why: String,
+}
+
+/// Error of the line's centroid that sampling may cause, pixels.
+const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
+const MAX_SAMPLES_PER_SIDE: u32 = 16;
+
+/// Greatest error (pixels) of the centroid of a Gaussian of standard deviation
+/// `sigma` pixels sampled `n` times a pixel: by Poisson's summation formula the
+/// first alias of the first moment, 4πσ²n·exp(-2π²σ²n²).
+fn sampling_error(sigma: f64, n: u32) -> f64 {
+    let n = n as f64;
+    4.0 * PI * sigma * sigma * n * (-2.0 * (PI * sigma * n).powi(2)).exp()
+}
+
+/// Samples a side at which the line's centroid is good to
+/// [`SAMPLING_TOLERANCE_PX`] and, with speckle, at which there are two samples a
+/// speckle (Nyquist's rate of an intensity with spectrum up to 1/h).
+fn samples_per_side(sigma_px: f64, speckle_size_px: Option<f64>) -> u32 {
+    let line = (1..=MAX_SAMPLES_PER_SIDE)
+        .find(|&n| {
+            // Below σn = ½ the error grows with n before it falls.
+            sigma_px * n as f64 > 0.5 && sampling_error(sigma_px, n) < SAMPLING_TOLERANCE_PX
+        })
+        .unwrap_or(MAX_SAMPLES_PER_SIDE);
+    let grain = speckle_size_px.map_or(1, |h| (2.0 / h).ceil() as u32);
+    line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
+}
+
+impl Plan {
+    /// The plan for a part whose bounding box in the laser frame is
+    /// `part_in_laser` while the head is in the middle of its way.
+    pub fn new(
+        laser: &Laser,
+        camera: &Camera,
+        camera_from_laser: &Rigid,
+        part_in_laser: &Aabb,
+        speckle: bool,
+    ) -> Plan {
+        let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
+        let pitch = camera.sensor.pixel_pitch;
+        let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
+        let airy_radius_px = 1.22 * speckle_size_px;
+        let sigma = line.half_width_px / 2.0;
+        let samples = samples_per_side(sigma, speckle.then_some(speckle_size_px));
+        let plane_point = camera_from_laser.translation;
+        let plane_normal = camera_from_laser.rotation.y_axis;
+        let distance = plane_normal.dot(plane_point) / plane_normal.z;
+        let mut plan = Plan {
+            samples_per_side: samples,
+            line_half_width_px: line.half_width_px,
+            speckle_size_px,
+            defocus_blur_px: line.defocus_blur_px,
+            airy_radius_px,
+            px_per_mm: line.px_per_mm,
+            scheimpflug_tilt_deg: camera
+                .scheimpflug_tilt(plane_point, plane_normal)
+                .map(|tilt| tilt.to_array().map(f64::to_degrees)),
+            laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
+            effects: Vec::new(),
+        };
+        plan.effects = plan.explain(speckle, sigma);
+        plan
+    }
+
+    fn explain(&self, speckle: bool, sigma: f64) -> Vec<Effect> {
+        let n = self.samples_per_side;
+        let effect = |effect, modelled, method: String, why: String| Effect {
+            effect,
+            modelled,
+            method,
+            why,
+        };
+        let micrometres = |px: f64| px / self.px_per_mm * 1e3;
+        vec![
+            effect(
+                "pixel integration",
+                true,
+                format!("{n} × {n} samples a pixel"),
+                format!(
+                    "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px",
+                    self.line_half_width_px,
+                    sampling_error(sigma, n)
+                ),
+            ),
+            effect(
+                "speckle",
+                speckle,
+                if speckle { "precomputed pattern" } else { "none" }.into(),
+                format!(
+                    "grain {:.2} px; it moves each centroid by about {:.2} px (1σ)",
+                    self.speckle_size_px,
+                    0.3905 * (self.speckle_size_px * sigma).sqrt()
+                ),
+            ),
+            effect(
+                "defocus",
+                false,
+                "sharp image".into(),
+                format!(
+                    "blur of up to {:.1} px widens the line, {:.1} px wide; its centroid stays",
+                    self.defocus_blur_px,
+                    2.0 * self.line_half_width_px
+                ),
+            ),
+            effect(
+                "diffraction of the lens",
+                false,
+                "sharp image".into(),
+                format!("Airy radius {:.2} px", self.airy_radius_px),
+            ),
+            effect(
+                "light reflected more than once",
+                false,
+                "direct light only".into(),
+                "the surface is diffuse: interreflections are faint and wide".into(),
+            ),
+            effect(
+                "motion during the exposure",
+                false,
+                "head at rest".into(),
+                format!("1 px is {:.1} µm along the beam", micrometres(1.0)),
+            ),
+        ]
+    }
+}
+
+/// The image of the line over the part.
+struct LineImage {
+    half_width_px: f64,
+    defocus_blur_px: f64,
+    px_per_mm: f64,
+}
+
+impl LineImage {
+    /// From 9 × 9 points of the laser plane within the part's box, those that the
+    /// sensor sees; from the box's middle if it sees none.
+    fn over(laser: &Laser, camera: &Camera, camera_from_laser: &Rigid, part: &Aabb) -> LineImage {
+        let resolution = camera.sensor.resolution.as_dvec2();
+        let seen = |p: DVec3| {
+            let pixel = camera.project(camera_from_laser.point(p))?;
+            let inside = pixel.cmpge(DVec2::ZERO).all() && pixel.cmple(resolution).all();
+            inside.then_some(pixel)
+        };
+        let mut image = LineImage {
+            half_width_px: f64::INFINITY,
+            defocus_blur_px: 0.0,
+            px_per_mm: f64::INFINITY,
+        };
+        let middle = part.center().with_y(0.0).max(DVec3::new(f64::MIN, 0.0, 1e-3));
+        let grid = (0..81).map(|i| {
+            let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
+            (part.min + part.size() * share).with_y(0.0)
+        });
+        let mut points: Vec<DVec3> = grid.filter(|&p| p.z > 0.0 && seen(p).is_some()).collect();
+        if points.is_empty() {
+            points.push(middle);
+        }
+        for p in points {
+            let moved = |by: DVec3| {
+                let from = camera.project(camera_from_laser.point(p))?;
+                Some((camera.project(camera_from_laser.point(p + by))? - from).length())
+            };
+            let width = laser.beam.radius(p.x.hypot(p.z));
+            if let Some(px) = moved(DVec3::Y * width) {
+                image.half_width_px = image.half_width_px.min(px);
+            }
+            if let Some(px) = moved(DVec3::Z * 1e-3) {
+                image.px_per_mm = image.px_per_mm.min(px * 1e3);
+            }
+            let blur = camera.defocus_blur(camera_from_laser.point(p));
+            image.defocus_blur_px = image
+                .defocus_blur_px
+                .max(blur.unwrap_or(0.0) / camera.sensor.pixel_pitch);
+        }
+        if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
+            image.half_width_px = 1.0;
+            image.px_per_mm = 1.0;
+        }
+        image
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bound against brute force over all phases of the line in its pixel.
+    #[test]
+    fn the_sampling_error_is_what_sampling_does() {
+        for (sigma, n) in [(0.5, 1), (0.7, 1), (0.3, 2), (0.35, 3)] {
+            let step = 1.0 / n as f64;
+            let worst = (0..100)
+                .map(|i| {
+                    let phase = step * i as f64 / 100.0;
+                    let (mut sum, mut moment) = (0.0, 0.0);
+                    for k in -200..200 {
+                        let y: f64 = (k as f64 + 0.5) * step + phase;
+                        let g = (-y * y / (2.0 * sigma * sigma)).exp();
+                        sum += g;
+                        moment += g * y;
+                    }
+                    (moment / sum).abs()
+                })
+                .fold(0.0, f64::max);
+            // Second aliases and the sum's own error are what is left.
+            let bound = sampling_error(sigma, n);
+            assert!((worst / bound - 1.0).abs() < 0.05, "{sigma} {n}: {worst} {bound}");
+        }
+    }
+
+    #[test]
+    fn narrow_lines_and_fine_grain_need_more_samples() {
+        assert_eq!(samples_per_side(3.0, None), 1);
+        assert_eq!(samples_per_side(0.4, None), 2);
+        assert_eq!(samples_per_side(3.0, Some(0.5)), 4);
+        assert_eq!(samples_per_side(1e-9, None), MAX_SAMPLES_PER_SIDE);
+        assert_eq!(samples_per_side(3.0, Some(1e-9)), MAX_SAMPLES_PER_SIDE);
+    }
+}
