@@ -1,13 +1,206 @@
+//! Triangle meshes: read from STL, OBJ and PLY files, checked, or made from
+//! analytic shapes.
+//!
+//! Every mesh comes out of one weld: corners whose coordinates are the same
+//! numbers (−0 = +0) become one vertex, vertices stand in the order in which
+//! the triangles first use them, and vertices no triangle uses are dropped.
+//! The indexed formats are welded too, because their writers split vertices
+//! where normals or texture coordinates jump, and the rays and the edge report
+//! are about the surface, not about shading. Nothing is welded by tolerance:
+//! that would hide the cracks the report exists to show.
+
+use std::fs;
+use std::path::Path;
+
+use crate::error::{Error, InputError, Place};
 use crate::math::{Aabb, DVec3};
+
+pub mod check;
+mod obj;
+mod ply;
+mod polygon;
+pub mod shapes;
+mod sniff;
+mod stl;
+mod text;
+mod weld;
+
+pub use check::{MeshReport, Orientation, report};
+
+/// Largest coordinate taken (mm), a million kilometres. It keeps areas and
+/// volumes finite, and a flipped exponent bit from passing as a part.
+const LARGEST_MM: f64 = 1e12;
+
+/// Triangles over shared vertices. Positions are in millimetres in the part's
+/// own frame; every index is below `positions.len()`, every position is
+/// finite, and there is at least one triangle.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
     pub positions: Vec<DVec3>,
     pub triangles: Vec<[u32; 3]>,
 }
+
 impl Mesh {
+    /// Smallest box around all vertices (mm).
     pub fn bounds(&self) -> Aabb {
         Aabb::of(self.positions.iter().copied())
     }
+
+    /// Corners of triangle `i` (mm), in the file's order.
     pub fn triangle(&self, i: usize) -> [DVec3; 3] {
         self.triangles[i].map(|v| self.positions[v as usize])
+    }
+
+    /// Welds triangles over `corners` (millimetres, finite); a triangle is
+    /// three indices into it.
+    fn welded(corners: &[DVec3], triangles: &[[u32; 3]]) -> Mesh {
+        let vertices = corners.len().min(weld::usual_vertices(triangles.len()));
+        let welded = weld::triangles(triangles.len(), vertices, |t| {
+            triangles[t].map(|v| weld::bits(corners[v as usize]))
+        });
+        Mesh {
+            positions: welded
+                .keys
+                .iter()
+                .map(|key| DVec3::from_array(key.map(f64::from_bits)))
+                .collect(),
+            triangles: welded.triangles,
+        }
+    }
+}
+
+/// Reads an STL (binary or ASCII), OBJ or PLY (ASCII, either byte order) file
+/// whose unit of length is `unit_mm` millimetres. The format is told from the
+/// content; the extension is not looked at.
+///
+/// # Errors
+/// `Error::Io` when the file cannot be read; `Error::Input`, with the line or
+/// byte, for whatever is not a whole mesh: another kind of file, cut off, a
+/// count or an index that does not fit, a vertex that is not a number or lies
+/// beyond 10¹² mm, no triangle at all.
+///
+/// Memory is at most 10 times the file for STL, 30 times for OBJ and PLY
+/// (their shortest statements are a few bytes long; usual files need 2 to 5).
+///
+/// # Panics
+/// If `unit_mm` is not a positive number: the scene has checked it.
+pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, Error> {
+    let kind = fs::metadata(path).map_err(Error::io("read", path))?;
+    if !kind.is_file() {
+        // A pipe or a device may never end.
+        let found = "something that is not a regular file";
+        return Err(InputError::new(path, Place::File, found, sniff::EXPECTED).into());
+    }
+    let bytes = fs::read(path).map_err(Error::io("read", path))?;
+    parse(path, &bytes, unit_mm)
+}
+
+/// `load` for bytes already in memory; `path` only names them in errors.
+pub fn parse(path: &Path, bytes: &[u8], unit_mm: f64) -> Result<Mesh, Error> {
+    assert!(
+        unit_mm.is_finite() && unit_mm > 0.0,
+        "unit of {unit_mm} mm reached the mesh reader"
+    );
+    let source = Source {
+        path,
+        bytes,
+        unit_mm,
+    };
+    match sniff::format(&source)? {
+        sniff::Format::BinaryStl => stl::binary(&source),
+        sniff::Format::AsciiStl => stl::ascii(&source),
+        sniff::Format::Ply => ply::read(&source),
+        sniff::Format::Obj => obj::read(&source),
+    }
+}
+
+/// A mesh file in memory.
+struct Source<'a> {
+    path: &'a Path,
+    bytes: &'a [u8],
+    unit_mm: f64,
+}
+
+impl Source<'_> {
+    fn error(&self, place: Place, found: impl Into<String>, expected: impl Into<String>) -> Error {
+        InputError::new(self.path, place, found, expected).into()
+    }
+
+    /// Whether a position, in the file's unit, can be part of a mesh.
+    fn usable(&self, position: DVec3) -> bool {
+        // Written so that NaN fails.
+        (position * self.unit_mm).abs().max_element() <= LARGEST_MM && !position.is_nan()
+    }
+
+    fn unusable(&self, place: Place, what: &str, p: DVec3) -> Error {
+        self.error(
+            place,
+            format!("{what} at ({}, {}, {})", p.x, p.y, p.z),
+            "finite coordinates within 1e12 mm",
+        )
+    }
+
+    /// The mesh of indexed positions in the file's unit, all already found
+    /// usable where a triangle uses them.
+    fn mesh(&self, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<Mesh, Error> {
+        if triangles.is_empty() {
+            return Err(self.no_triangles(&format!("{} vertices", positions.len())));
+        }
+        let mut mesh = Mesh::welded(positions, triangles);
+        for position in &mut mesh.positions {
+            *position *= self.unit_mm;
+        }
+        Ok(mesh)
+    }
+
+    fn no_triangles(&self, instead: &str) -> Error {
+        self.error(
+            Place::File,
+            format!("no triangles ({instead})"),
+            "a mesh of at least one triangle",
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse_text(text: &str, unit_mm: f64) -> Result<Mesh, Error> {
+        parse(Path::new("part"), text.as_bytes(), unit_mm)
+    }
+
+    #[test]
+    fn vertices_are_scaled_welded_and_in_order_of_first_use() {
+        // Vertex 1 is unused, 5 is 2 again with a minus zero.
+        let mesh = parse_text(
+            "v 9 9 9\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 -0 0\nf 4 3 2\nf 5 3 4\n",
+            25.4,
+        )
+        .unwrap();
+        assert_eq!(
+            mesh.positions,
+            [DVec3::Z * 25.4, DVec3::Y * 25.4, DVec3::X * 25.4]
+        );
+        assert_eq!(mesh.triangles, [[0, 1, 2], [2, 1, 0]]);
+        assert_eq!(mesh.triangle(1)[0], DVec3::X * 25.4);
+        assert_eq!(mesh.bounds(), Aabb::new(DVec3::ZERO, DVec3::splat(25.4)));
+    }
+
+    #[test]
+    fn coordinates_are_judged_in_millimetres() {
+        let far = "v 1e10 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n";
+        assert!(parse_text(far, 1.0).is_ok());
+        let error = parse_text(far, 1000.0).unwrap_err().to_string();
+        assert!(error.contains("1e12 mm"), "{error}");
+    }
+
+    #[test]
+    fn a_folder_is_not_read() {
+        let error = load(Path::new(env!("CARGO_MANIFEST_DIR")), 1.0).unwrap_err();
+        assert!(error.to_string().contains("regular file"), "{error}");
+        assert_eq!(error.exit_code(), 65);
+        let error = load(Path::new("no such mesh.stl"), 1.0).unwrap_err();
+        assert_eq!(error.exit_code(), 74);
     }
 }

@@ -1,0 +1,484 @@
+//! PLY (Turk, 1994), ASCII and binary of either byte order.
+//!
+//! Wanted are `x`, `y`, `z` of element `vertex` and the list `vertex_indices`
+//! (or `vertex_index`) of element `face`, after it; everything else is stepped
+//! over. Faces of one or two corners have no area and are passed over. After
+//! the last element blank lines (ASCII) or too few bytes for one more of it
+//! (binary) are ignored; more is refused, since then the counts are wrong.
+
+use super::polygon::{Cutter, MOST_CORNERS};
+use super::text::{self, Lines, quote, words};
+use super::{Mesh, Source};
+use crate::error::{Error, Place};
+use crate::math::DVec3;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn named(name: &[u8]) -> Option<Scalar> {
+        Some(match name {
+            b"char" | b"int8" => Scalar::I8,
+            b"uchar" | b"uint8" => Scalar::U8,
+            b"short" | b"int16" => Scalar::I16,
+            b"ushort" | b"uint16" => Scalar::U16,
+            b"int" | b"int32" => Scalar::I32,
+            b"uint" | b"uint32" => Scalar::U32,
+            b"float" | b"float32" => Scalar::F32,
+            b"double" | b"float64" => Scalar::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::F64 => 8,
+        }
+    }
+
+    fn is_integer(self) -> bool {
+        !matches!(self, Scalar::F32 | Scalar::F64)
+    }
+
+    /// Value of `size()` bytes, low byte first; exact for every type.
+    fn value(self, bytes: [u8; 8]) -> f64 {
+        let raw = u64::from_le_bytes(bytes);
+        match self {
+            Scalar::I8 => f64::from(raw as i8),
+            Scalar::U8 => f64::from(raw as u8),
+            Scalar::I16 => f64::from(raw as i16),
+            Scalar::U16 => f64::from(raw as u16),
+            Scalar::I32 => f64::from(raw as i32),
+            Scalar::U32 => f64::from(raw as u32),
+            Scalar::F32 => f64::from(f32::from_bits(raw as u32)),
+            Scalar::F64 => f64::from_bits(raw),
+        }
+    }
+}
+
+struct Property<'a> {
+    name: &'a [u8],
+    /// Type of the count, for a list.
+    count: Option<Scalar>,
+    item: Scalar,
+}
+
+struct Element<'a> {
+    name: &'a [u8],
+    count: u64,
+    properties: Vec<Property<'a>>,
+    line: usize,
+}
+
+impl Element<'_> {
+    /// Bytes that one of these takes at least.
+    fn least(&self, encoding: Encoding) -> u64 {
+        match encoding {
+            // A digit and a separator each.
+            Encoding::Ascii => 2 * self.properties.len() as u64,
+            _ => (self.properties.iter())
+                .map(|p| p.count.unwrap_or(p.item).size() as u64)
+                .sum(),
+        }
+    }
+
+    fn property(&self, name: &str) -> Option<usize> {
+        self.properties
+            .iter()
+            .position(|p| p.name == name.as_bytes())
+    }
+}
+
+pub fn read(source: &Source) -> Result<Mesh, Error> {
+    let mut lines = Lines::new(source.bytes);
+    let (encoding, elements) = header(source, &mut lines)?;
+    check_counts(source, encoding, &elements, lines.offset)?;
+    let mut body = Body {
+        source,
+        encoding,
+        offset: lines.offset,
+        lines,
+        words: Vec::new(),
+    };
+    let mut positions = Vec::new();
+    let mut triangles = Vec::new();
+    for element in &elements {
+        match element.name {
+            b"vertex" => body.vertices(element, &mut positions)?,
+            b"face" => body.faces(element, &positions, &mut triangles)?,
+            _ => body.skip(element)?,
+        }
+    }
+    body.end(elements.last().map_or(0, |e| e.least(encoding)))?;
+    if triangles.is_empty() {
+        let names: Vec<_> = (elements.iter())
+            .map(|e| format!("{} {}", e.count, String::from_utf8_lossy(e.name)))
+            .collect();
+        return Err(source.no_triangles(&format!("a PLY of {}", names.join(", "))));
+    }
+    source.mesh(&positions, &triangles)
+}
+
+fn header<'a>(
+    source: &Source<'a>,
+    lines: &mut Lines<'a>,
+) -> Result<(Encoding, Vec<Element<'a>>), Error> {
+    let mut encoding = None;
+    let mut elements: Vec<Element> = Vec::new();
+    while let Some(line) = lines.next() {
+        let place = Place::Line(lines.number);
+        let words: Vec<&[u8]> = line
+            .split(u8::is_ascii_whitespace)
+            .filter(|w| !w.is_empty())
+            .collect();
+        match words[..] {
+            [b"ply"] if lines.number == 1 => {}
+            [] | [b"comment" | b"obj_info", ..] => {}
+            [b"format", name, b"1.0"] if encoding.is_none() => {
+                encoding = Some(match name {
+                    b"ascii" => Encoding::Ascii,
+                    b"binary_little_endian" => Encoding::Little,
+                    b"binary_big_endian" => Encoding::Big,
+                    _ => {
+                        return Err(source.error(
+                            place,
+                            quote(name),
+                            "ascii, binary_little_endian or binary_big_endian",
+                        ));
+                    }
+                });
+            }
+            [b"element", name, count] => {
+                let parsed = std::str::from_utf8(count).ok().and_then(|c| c.parse().ok());
+                let Some(count) = parsed else {
+                    return Err(source.error(place, quote(count), "a count"));
+                };
+                if elements.iter().any(|e| e.name == name) {
+                    let found = format!("a second element {}", quote(name));
+                    return Err(source.error(place, found, "each element once"));
+                }
+                elements.push(Element {
+                    name,
+                    count,
+                    properties: Vec::new(),
+                    line: lines.number,
+                });
+            }
+            [b"property", ref rest @ ..] => {
+                let property = property(rest).zip(elements.last_mut());
+                let Some((property, element)) = property else {
+                    let expected =
+                        "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
+                    return Err(source.error(place, quote(line), expected));
+                };
+                element.properties.push(property);
+            }
+            [b"end_header"] => {
+                return match encoding {
+                    Some(encoding) => Ok((encoding, elements)),
+                    None => Err(source.error(place, "a header without format", "\"format … 1.0\"")),
+                };
+            }
+            _ => return Err(source.error(place, quote(line), "a PLY header line")),
+        }
+    }
+    let end = Place::Line(lines.number);
+    Err(source.error(end, "the end of the file (is it cut off?)", "end_header"))
+}
+
+fn property<'a>(words: &[&'a [u8]]) -> Option<Property<'a>> {
+    let (count, item, name) = match *words {
+        [b"list", count, item, name] => (Some(Scalar::named(count)?), item, name),
+        [item, name] => (None, item, name),
+        _ => return None,
+    };
+    if count.is_some_and(|c| !c.is_integer()) {
+        return None;
+    }
+    Some(Property {
+        name,
+        count,
+        item: Scalar::named(item)?,
+    })
+}
+
+/// Refuses counts the file is too small for, before memory is taken for them.
+fn check_counts(
+    source: &Source,
+    encoding: Encoding,
+    elements: &[Element],
+    body: usize,
+) -> Result<(), Error> {
+    // The last line of a text may lack its end.
+    let mut left = (source.bytes.len() - body) as u128 + 1;
+    for element in elements {
+        let needed = u128::from(element.count) * u128::from(element.least(encoding));
+        if needed > left {
+            return Err(source.error(
+                Place::Line(element.line),
+                format!(
+                    "{} elements {}, at least {needed} bytes",
+                    element.count,
+                    quote(element.name)
+                ),
+                format!(
+                    "no more than the {} bytes left of the file",
+                    left.saturating_sub(1)
+                ),
+            ));
+        }
+        left -= needed;
+    }
+    Ok(())
+}
+
+/// The data after the header.
+struct Body<'a> {
+    source: &'a Source<'a>,
+    encoding: Encoding,
+    /// Of the next value, in a binary file.
+    offset: usize,
+    lines: Lines<'a>,
+    /// Of the current element, in an ASCII file, last first.
+    words: Vec<&'a [u8]>,
+}
+
+impl<'a> Body<'a> {
+    fn place(&self) -> Place {
+        match self.encoding {
+            Encoding::Ascii => Place::Line(self.lines.number),
+            _ => Place::Byte(self.offset as u64),
+        }
+    }
+
+    fn cut_off(&self, expected: &str) -> Error {
+        let found = "the end of the file (is it cut off?)";
+        self.source.error(self.place(), found, expected)
+    }
+
+    /// Goes to the next element: in ASCII, the next line that is not blank.
+    fn start(&mut self) -> Result<(), Error> {
+        while self.encoding == Encoding::Ascii && self.words.is_empty() {
+            let Some(line) = self.lines.next() else {
+                return Err(self.cut_off("the elements that the header announces"));
+            };
+            self.words.extend(words(line));
+            self.words.reverse();
+        }
+        Ok(())
+    }
+
+    /// Checks that an element's line holds no more than the element.
+    fn finish(&mut self) -> Result<(), Error> {
+        match self.words.last() {
+            Some(word) => Err(self
+                .source
+                .error(self.place(), quote(word), "the end of the line")),
+            None => Ok(()),
+        }
+    }
+
+    fn scalar(&mut self, kind: Scalar) -> Result<f64, Error> {
+        const EXPECTED: &str = "a value of every property";
+        if self.encoding == Encoding::Ascii {
+            let Some(word) = self.words.pop() else {
+                return Err(self
+                    .source
+                    .error(self.place(), "the end of the line", EXPECTED));
+            };
+            return match text::number(word) {
+                Ok(value) if kind.is_integer() && value.fract() != 0.0 => {
+                    Err(self.source.error(self.place(), quote(word), "an integer"))
+                }
+                Ok(value) => Ok(value),
+                Err(found) => Err(self.source.error(self.place(), found, text::NUMBER)),
+            };
+        }
+        let size = kind.size();
+        let Some(bytes) = self.source.bytes.get(self.offset..self.offset + size) else {
+            return Err(self.cut_off(EXPECTED));
+        };
+        self.offset += size;
+        let mut low_first = [0; 8];
+        low_first[..size].copy_from_slice(bytes);
+        if self.encoding == Encoding::Big {
+            low_first[..size].reverse();
+        }
+        Ok(kind.value(low_first))
+    }
+
+    /// Reads one element: its scalars to `values` by property, the list of
+    /// property `wanted` to `list`.
+    fn element(
+        &mut self,
+        element: &Element,
+        values: &mut [f64],
+        wanted: Option<usize>,
+        list: &mut Vec<f64>,
+    ) -> Result<(), Error> {
+        self.start()?;
+        list.clear();
+        for (i, property) in element.properties.iter().enumerate() {
+            let Some(kind) = property.count else {
+                values[i] = self.scalar(property.item)?;
+                continue;
+            };
+            let place = self.place();
+            let count = self.scalar(kind)?;
+            // Of other lists any length that the file holds will do.
+            let most = if wanted == Some(i) {
+                MOST_CORNERS as f64
+            } else {
+                f64::from(u32::MAX)
+            };
+            if !(0.0..=most).contains(&count) {
+                let found = format!("a list of {count} items");
+                return Err(self.source.error(place, found, format!("0 to {most}")));
+            }
+            for _ in 0..count as u64 {
+                let item = self.scalar(property.item)?;
+                if wanted == Some(i) {
+                    list.push(item);
+                }
+            }
+        }
+        self.finish()
+    }
+
+    fn skip(&mut self, element: &Element) -> Result<(), Error> {
+        // One without properties takes no bytes, however many there are.
+        if element.properties.is_empty() {
+            return Ok(());
+        }
+        let mut values = vec![0.0; element.properties.len()];
+        for _ in 0..element.count {
+            self.element(element, &mut values, None, &mut Vec::new())?;
+        }
+        Ok(())
+    }
+
+    fn vertices(&mut self, element: &Element, positions: &mut Vec<DVec3>) -> Result<(), Error> {
+        let axis = |name| {
+            element
+                .property(name)
+                .filter(|&i| element.properties[i].count.is_none())
+        };
+        let (Some(x), Some(y), Some(z)) = (axis("x"), axis("y"), axis("z")) else {
+            let line = Place::Line(element.line);
+            return Err(self
+                .source
+                .error(line, "vertices without x, y or z", "all three"));
+        };
+        // The count fits the file: check_counts().
+        positions.reserve_exact(element.count as usize);
+        let mut values = vec![0.0; element.properties.len()];
+        let mut list = Vec::new();
+        for _ in 0..element.count {
+            self.element(element, &mut values, None, &mut list)?;
+            positions.push(DVec3::new(values[x], values[y], values[z]));
+        }
+        Ok(())
+    }
+
+    fn faces(
+        &mut self,
+        element: &Element,
+        positions: &[DVec3],
+        triangles: &mut Vec<[u32; 3]>,
+    ) -> Result<(), Error> {
+        let corners = element
+            .property("vertex_indices")
+            .or(element.property("vertex_index"));
+        let is_list = |&i: &usize| {
+            element.properties[i].count.is_some() && element.properties[i].item.is_integer()
+        };
+        let Some(corners) = corners.filter(is_list) else {
+            let line = Place::Line(element.line);
+            let found = "faces without a list of whole numbers vertex_indices or vertex_index";
+            return Err(self.source.error(line, found, "one of the two"));
+        };
+        triangles.reserve_exact(element.count as usize);
+        let mut values = vec![0.0; element.properties.len()];
+        let (mut list, mut face) = (Vec::new(), Vec::new());
+        let mut cutter = Cutter::default();
+        for number in 0..element.count {
+            let start = self.offset;
+            self.element(element, &mut values, Some(corners), &mut list)?;
+            let place = match self.encoding {
+                Encoding::Ascii => self.place(),
+                _ => Place::Byte(start as u64),
+            };
+            if list.len() < 3 {
+                continue;
+            }
+            self.corners(&list, number, place, positions, &mut face)?;
+            cutter.cut(positions, &face, triangles);
+        }
+        Ok(())
+    }
+
+    /// The corners of a face as indices of usable vertices.
+    fn corners(
+        &self,
+        list: &[f64],
+        number: u64,
+        place: Place,
+        positions: &[DVec3],
+        face: &mut Vec<u32>,
+    ) -> Result<(), Error> {
+        face.clear();
+        for &corner in list {
+            let position = (corner >= 0.0)
+                .then(|| positions.get(corner as usize))
+                .flatten();
+            let Some(&position) = position.filter(|_| corner < f64::from(u32::MAX)) else {
+                return Err(self.source.error(
+                    place,
+                    format!("face {number} with vertex {corner}"),
+                    format!(
+                        "one of the {} vertices before it, counted from 0",
+                        positions.len()
+                    ),
+                ));
+            };
+            if !self.source.usable(position) {
+                let what = format!("face {number} with vertex {corner}");
+                return Err(self.source.unusable(place, &what, position));
+            }
+            face.push(corner as u32);
+        }
+        Ok(())
+    }
+
+    /// Refuses data that the header does not announce.
+    fn end(&mut self, least: u64) -> Result<(), Error> {
+        let surplus = match self.encoding {
+            Encoding::Ascii => self.lines.by_ref().any(|line| words(line).next().is_some()),
+            _ => (self.source.bytes.len() - self.offset) as u64 >= least.max(1),
+        };
+        if surplus {
+            let expected = "the end of the file after the elements that the header announces";
+            return Err(self.source.error(self.place(), "more data", expected));
+        }
+        Ok(())
+    }
+}

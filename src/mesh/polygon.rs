@@ -1,0 +1,229 @@
+//! Polygons with more than three corners, as OBJ and PLY allow, to triangles.
+
+use earcut::Earcut;
+
+use crate::math::DVec3;
+
+/// Most corners a polygon may have. Cutting takes up to quadratic time, so the
+/// limit bounds what a hostile file can cost; faces of real parts stay far
+/// below it.
+pub const MOST_CORNERS: usize = 10_000;
+
+/// Cuts polygons, keeping its buffers between them.
+#[derive(Default)]
+pub struct Cutter {
+    earcut: Earcut<f64>,
+    flat: Vec<[f64; 2]>,
+    cut: Vec<u32>,
+}
+
+impl Cutter {
+    /// Appends the triangles of the polygon with these corners (at least 3,
+    /// indices into `positions`), wound as it is.
+    ///
+    /// A planar polygon without self-intersection, convex or not, is cut
+    /// exactly into its area, and each of its edges stays an edge of one
+    /// triangle, so that neighbours still match along collinear corners. For
+    /// one that crosses itself or has no area no cut is right; it becomes a
+    /// fan about its first corner, which keeps its border.
+    pub fn cut(&mut self, positions: &[DVec3], corners: &[u32], triangles: &mut Vec<[u32; 3]>) {
+        if let [a, b, c] = *corners {
+            triangles.push([a, b, c]);
+            return;
+        }
+        let n = corners.len();
+        let start = triangles.len();
+        if self.flatten(positions, corners) {
+            self.earcut.earcut_slice(&self.flat, &[], &mut self.cut);
+            let (ears, _) = self.cut.as_chunks::<3>();
+            // Counter-clockwise in the plane of flatten() is the polygon's own
+            // sense; the crate promises no sense of its own.
+            let area: f64 = ears.iter().map(|t| self.doubled_area(t)).sum();
+            let mut todo: Vec<[u32; 3]> = match area > 0.0 {
+                true => ears.to_vec(),
+                false => ears.iter().map(|&[a, b, c]| [c, b, a]).collect(),
+            };
+            restore_collinear(n as u32, &mut todo);
+            if todo.len() == n - 2 && self.covers(&todo) {
+                triangles.extend(todo.iter().map(|t| t.map(|i| corners[i as usize])));
+            }
+        }
+        if triangles.len() == start {
+            triangles.extend((1..n - 1).map(|i| [corners[0], corners[i], corners[i + 1]]));
+        }
+    }
+
+    /// Projects the polygon to a plane across its area vector (Newell's normal)
+    /// with its own sense counter-clockwise. False if it has no area.
+    fn flatten(&mut self, positions: &[DVec3], corners: &[u32]) -> bool {
+        // About its first corner, so that an offset of the part costs nothing.
+        let origin = positions[corners[0] as usize];
+        let at = |i: usize| positions[corners[i % corners.len()] as usize] - origin;
+        let normal: DVec3 = (0..corners.len()).map(|i| at(i).cross(at(i + 1))).sum();
+        let Some(normal) = normal.try_normalize() else {
+            return false;
+        };
+        let (u, v) = normal.any_orthonormal_pair();
+        self.flat.clear();
+        self.flat
+            .extend((0..corners.len()).map(|i| [at(i).dot(u), at(i).dot(v)]));
+        // (u, v, normal) is right-handed in glam; held by a test below.
+        true
+    }
+
+    fn doubled_area(&self, triangle: &[u32; 3]) -> f64 {
+        let [a, b, c] = triangle.map(|i| self.flat[i as usize]);
+        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    }
+
+    /// Whether the triangles' areas, each taken positive, add up to the
+    /// polygon's. 1e-9 is far above rounding and far below a wrong triangle.
+    fn covers(&self, triangles: &[[u32; 3]]) -> bool {
+        let n = self.flat.len() as u32;
+        let cut: f64 = triangles.iter().map(|t| self.doubled_area(t).abs()).sum();
+        let fan: f64 = (1..n - 1).map(|i| self.doubled_area(&[0, i, i + 1])).sum();
+        (cut - fan).abs() <= 1e-9 * cut
+    }
+}
+
+/// Ear cutting leaves out corners on a straight line. Puts each back by
+/// splitting the triangle on whose edge it lies: an edge i→j, with none of the
+/// corners between i and j in use, becomes i→i+1→j.
+fn restore_collinear(n: u32, triangles: &mut Vec<[u32; 3]>) {
+    let mut used = vec![false; n as usize];
+    triangles
+        .as_flattened()
+        .iter()
+        .for_each(|&i| used[i as usize] = true);
+    let mut t = 0;
+    while t < triangles.len() {
+        let split = (0..3).find_map(|e| {
+            let [i, j, k] = [0, 1, 2].map(|c| triangles[t][(e + c) % 3]);
+            let mid = (i + 1) % n;
+            let mut between = (1..).map(|s| (i + s) % n).take_while(|&c| c != j);
+            (mid != j && between.all(|c| !used[c as usize])).then_some((i, mid, j, k))
+        });
+        match split {
+            Some((i, mid, j, k)) => {
+                used[mid as usize] = true;
+                triangles[t] = [i, mid, k];
+                triangles.push([mid, j, k]);
+            }
+            None => t += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn cut(points: &[[f64; 2]], lift: impl Fn(f64, f64) -> DVec3) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let positions: Vec<_> = points.iter().map(|p| lift(p[0], p[1])).collect();
+        let corners: Vec<u32> = (0..points.len() as u32).collect();
+        let mut triangles = Vec::new();
+        Cutter::default().cut(&positions, &corners, &mut triangles);
+        (positions, triangles)
+    }
+
+    /// Sum of triangle areas, signed along `normal`, and of their sizes.
+    fn areas((positions, triangles): &(Vec<DVec3>, Vec<[u32; 3]>), normal: DVec3) -> (f64, f64) {
+        triangles.iter().fold((0.0, 0.0), |(signed, size), t| {
+            let [a, b, c] = t.map(|i| positions[i as usize]);
+            let area = (b - a).cross(c - a) / 2.0;
+            (signed + area.dot(normal), size + area.length())
+        })
+    }
+
+    /// Every polygon edge in exactly one triangle, every other edge in two.
+    fn border_kept(n: u32, triangles: &[[u32; 3]]) -> bool {
+        let edges: Vec<_> = (triangles.iter())
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+            .collect();
+        edges
+            .iter()
+            .all(|&(a, b)| edges.contains(&(b, a)) != (b == (a + 1) % n))
+            && triangles.len() == n as usize - 2
+    }
+
+    #[test]
+    fn a_concave_polygon_is_cut_without_overlap_in_any_plane_and_sense() {
+        // A "U" of area 5.
+        let u = [
+            [0., 0.],
+            [3., 0.],
+            [3., 2.],
+            [2., 2.],
+            [2., 1.],
+            [1., 1.],
+            [1., 2.],
+            [0., 2.],
+        ];
+        let backwards: Vec<_> = u.iter().rev().copied().collect();
+        for lift in [
+            |x, y| DVec3::new(x, y, 0.0),
+            |x, y| DVec3::new(y, 0.0, x),
+            |x: f64, y: f64| DVec3::new(450_000.0 + x, 5_200_000.0 + y, 0.0),
+        ] {
+            let normal = (lift(1., 0.) - lift(0., 0.)).cross(lift(0., 1.) - lift(0., 0.));
+            for (points, sign) in [(u.as_slice(), 1.0), (&backwards, -1.0)] {
+                let result = cut(points, lift);
+                let (signed, size) = areas(&result, normal);
+                assert!((signed - sign * 5.0).abs() < 1e-8 && (size - 5.0).abs() < 1e-8);
+                assert!(border_kept(8, &result.1));
+            }
+        }
+    }
+
+    #[test]
+    fn collinear_corners_stay_on_the_border() {
+        let square = [
+            [0., 0.],
+            [1., 0.],
+            [2., 0.],
+            [3., 0.],
+            [3., 3.],
+            [1., 3.],
+            [0., 3.],
+            [0., 2.],
+            [0., 1.],
+        ];
+        let result = cut(&square, |x, y| DVec3::new(x, y, 1.0));
+        let (signed, size) = areas(&result, DVec3::Z);
+        assert!((signed - 9.0).abs() < 1e-12 && (size - 9.0).abs() < 1e-12);
+        assert!(border_kept(9, &result.1));
+    }
+
+    #[test]
+    fn polygons_without_a_right_cut_become_fans() {
+        let bow = [[0., 0.], [2., 2.], [2., 0.], [0., 1.]];
+        assert_eq!(
+            cut(&bow, |x, y| DVec3::new(x, y, 0.0)).1,
+            [[0, 1, 2], [0, 2, 3]]
+        );
+        assert_eq!(cut(&bow, |_, _| DVec3::ONE).1, [[0, 1, 2], [0, 2, 3]]);
+    }
+
+    proptest! {
+        /// A comb with random teeth, many of them flush with their neighbours:
+        /// concave, with collinear runs, like the outline of a machined part.
+        #[test]
+        fn orthogonal_outlines_are_cut_exactly(heights in prop::collection::vec(1u8..4, 1..24), tilt in -3.0..3.0f64) {
+            let mut points = vec![[heights.len() as f64, 0.0], ];
+            for (i, &h) in heights.iter().enumerate().rev() {
+                points.push([i as f64 + 1.0, f64::from(h)]);
+                points.push([i as f64, f64::from(h)]);
+            }
+            points.push([0.0, 0.0]);
+            points.dedup();
+            let (s, c) = tilt.sin_cos();
+            let result = cut(&points, |x, y| DVec3::new(x * c, y, x * s));
+            let area: f64 = heights.iter().map(|&h| f64::from(h)).sum();
+            let normal = DVec3::new(c, 0.0, s).cross(DVec3::Y);
+            let (signed, size) = areas(&result, normal);
+            prop_assert!((signed - area).abs() < 1e-9 && (size - area).abs() < 1e-9);
+            prop_assert!(border_kept(points.len() as u32, &result.1));
+        }
+    }
+}

@@ -1,0 +1,323 @@
+//! STL, binary and ASCII. Stored normals are ignored: they are often zero, NaN
+//! or stale, and the corners' order says all of it.
+//!
+//! Where the format is loosely kept:
+//! - Binary: fewer than 50 bytes (one triangle) after the last triangle are
+//!   ignored; a count that leaves out whole triangles is refused.
+//! - ASCII: any case, blanks and line ends, `#` comments, several solids, empty
+//!   solids beside others. A missing `endsolid` is refused, since a file cut off
+//!   between two facets looks just like that.
+
+use super::text::{self, quote};
+use super::{Mesh, Source, sniff, weld};
+use crate::error::{Error, Place};
+use crate::math::DVec3;
+
+/// Header and triangle count.
+const HEADER: usize = 84;
+/// Normal, three corners (f32 each) and an attribute word.
+const RECORD: usize = 50;
+
+/// Binary STL: an 80-byte header, a count, 50 bytes a triangle.
+pub fn binary(source: &Source) -> Result<Mesh, Error> {
+    let records = records(source)?;
+    // −0 and +0 are one place.
+    let coordinate = |b: &[u8; 4]| match u32::from_le_bytes(*b) {
+        0x8000_0000 => 0,
+        bits => bits,
+    };
+    let welded = weld::triangles(records.len(), weld::usual_vertices(records.len()), |t| {
+        let (corners, _) = records[t][12..48].as_chunks::<12>();
+        [0, 1, 2].map(|c| {
+            let (xyz, _) = corners[c].as_chunks::<4>();
+            [0, 1, 2].map(|i| coordinate(&xyz[i]))
+        })
+    });
+    let position = |key: &[u32; 3]| DVec3::from_array(key.map(|c| f64::from(f32::from_bits(c))));
+    if let Some(bad) = (welded.keys.iter()).position(|key| !source.usable(position(key))) {
+        let corners = welded.triangles.as_flattened();
+        let corner = corners.iter().position(|&v| v as usize == bad).unwrap();
+        let byte = HEADER + corner / 3 * RECORD + 12 * (1 + corner % 3);
+        let what = format!("triangle {} with a corner", corner / 3);
+        return Err(source.unusable(Place::Byte(byte as u64), &what, position(&welded.keys[bad])));
+    }
+    Ok(Mesh {
+        positions: (welded.keys.iter())
+            .map(|key| position(key) * source.unit_mm)
+            .collect(),
+        triangles: welded.triangles,
+    })
+}
+
+/// The triangles' bytes, once the count is known to fit the file.
+fn records<'a>(source: &Source<'a>) -> Result<&'a [[u8; RECORD]], Error> {
+    let Some(count) = sniff::stl_count(source.bytes) else {
+        return Err(source.error(
+            Place::File,
+            format!("{} bytes of binary data", source.bytes.len()),
+            "a binary STL (84 bytes and 50 a triangle), or an OBJ or PLY mesh",
+        ));
+    };
+    let (records, rest) = source.bytes[HEADER..].as_chunks::<RECORD>();
+    if count == 0 && source.bytes.len() < HEADER + RECORD {
+        return Err(source.no_triangles("a binary STL that announces none"));
+    }
+    if count != records.len() as u64 {
+        let partial = match rest.len() {
+            0 => String::new(),
+            n => format!(" and {n} bytes of another"),
+        };
+        return Err(source.error(
+            Place::Byte(80),
+            format!(
+                "binary data which, as STL, announces {count} triangles and holds {}{partial}",
+                records.len()
+            ),
+            "the number of triangles the file holds",
+        ));
+    }
+    Ok(records)
+}
+
+/// ASCII STL.
+pub fn ascii(source: &Source) -> Result<Mesh, Error> {
+    let mut reader = Ascii {
+        source,
+        lines: text::Lines::new(source.bytes),
+        words: Vec::new(),
+        next: 0,
+        corners: Vec::new(),
+    };
+    let mut solids = 0;
+    while reader.advance() {
+        reader.expect("solid")?;
+        reader.solid()?;
+        solids += 1;
+    }
+    if reader.corners.is_empty() {
+        return Err(source.no_triangles(&format!("{solids} empty solids")));
+    }
+    let count = reader.corners.len() / 3;
+    let welded = weld::triangles(count, weld::usual_vertices(count), |t| {
+        [0, 1, 2].map(|c| weld::bits(reader.corners[3 * t + c]))
+    });
+    Ok(Mesh {
+        positions: (welded.keys.iter())
+            .map(|key| DVec3::from_array(key.map(f64::from_bits)) * source.unit_mm)
+            .collect(),
+        triangles: welded.triangles,
+    })
+}
+
+/// Reads word by word; line ends matter only after a solid's name.
+struct Ascii<'a> {
+    source: &'a Source<'a>,
+    lines: text::Lines<'a>,
+    /// Of the current line, with the one to be read next.
+    words: Vec<&'a [u8]>,
+    next: usize,
+    /// Three a triangle, in the file's unit.
+    corners: Vec<DVec3>,
+}
+
+impl<'a> Ascii<'a> {
+    /// Goes to the next word, on a later line if need be. False at the end.
+    fn advance(&mut self) -> bool {
+        while self.next == self.words.len() {
+            let Some(line) = self.lines.next() else {
+                return false;
+            };
+            self.words.clear();
+            self.words.extend(text::words(line));
+            self.next = 0;
+        }
+        true
+    }
+
+    /// The next word, which should be `expected`.
+    fn word(&mut self, expected: &str) -> Result<&'a [u8], Error> {
+        if !self.advance() {
+            return Err(self.error("the end of the file (is it cut off?)", expected));
+        }
+        self.next += 1;
+        Ok(self.words[self.next - 1])
+    }
+
+    fn error(&self, found: impl Into<String>, expected: &str) -> Error {
+        let line = Place::Line(self.lines.number.max(1));
+        self.source.error(line, found, expected)
+    }
+
+    fn expect(&mut self, keyword: &str) -> Result<(), Error> {
+        let word = self.word(keyword)?;
+        if word.eq_ignore_ascii_case(keyword.as_bytes()) {
+            return Ok(());
+        }
+        Err(self.error(quote(word), keyword))
+    }
+
+    /// A solid's name is free text, in any encoding.
+    fn skip_line(&mut self) {
+        self.next = self.words.len();
+    }
+
+    fn solid(&mut self) -> Result<(), Error> {
+        const NEXT: &str = "facet or endsolid";
+        self.skip_line();
+        loop {
+            let word = self.word(NEXT)?;
+            if word.eq_ignore_ascii_case(b"endsolid") {
+                self.skip_line();
+                return Ok(());
+            }
+            if !word.eq_ignore_ascii_case(b"facet") {
+                return Err(self.error(quote(word), NEXT));
+            }
+            self.facet()?;
+        }
+    }
+
+    fn facet(&mut self) -> Result<(), Error> {
+        self.expect("normal")?;
+        for _ in 0..3 {
+            // Whatever it is: normals like "-nan(ind)" are common.
+            self.word("three components of the normal")?;
+        }
+        self.expect("outer")?;
+        self.expect("loop")?;
+        for _ in 0..3 {
+            self.expect("vertex")?;
+            let corner = DVec3::new(self.number()?, self.number()?, self.number()?);
+            if !self.source.usable(corner) {
+                let place = Place::Line(self.lines.number);
+                return Err(self.source.unusable(place, "a vertex", corner));
+            }
+            self.corners.push(corner);
+        }
+        self.expect("endloop")?;
+        self.expect("endfacet")
+    }
+
+    fn number(&mut self) -> Result<f64, Error> {
+        let word = self.word(text::NUMBER)?;
+        text::number(word).map_err(|found| self.error(found, text::NUMBER))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::parse;
+    use proptest::prelude::*;
+    use std::path::Path;
+
+    /// Binary STL of these triangles.
+    fn encode(triangles: &[[[f32; 3]; 3]]) -> Vec<u8> {
+        let mut bytes = b"solid whatever".to_vec();
+        bytes.resize(80, 0);
+        bytes.extend((triangles.len() as u32).to_le_bytes());
+        for triangle in triangles {
+            bytes.extend([0; 12]);
+            bytes.extend((triangle.as_flattened().iter()).flat_map(|c| c.to_le_bytes()));
+            bytes.extend([0; 2]);
+        }
+        bytes
+    }
+
+    const TRIANGLE: [[f32; 3]; 3] = [[0.0, 0.0, 0.0], [1.0, 0.0, -0.0], [0.0, 1.0, 0.5]];
+
+    fn fails(bytes: &[u8]) -> String {
+        parse(Path::new("a.stl"), bytes, 1.0)
+            .unwrap_err()
+            .to_string()
+    }
+
+    #[test]
+    fn less_than_a_triangle_may_trail_but_no_whole_one() {
+        let mut bytes = encode(&[TRIANGLE; 2]);
+        let mesh = parse(Path::new("a"), &bytes, 1.0).unwrap();
+        assert_eq!(mesh.triangles, [[0, 1, 2]; 2]);
+        bytes.extend([b'x'; 49]);
+        assert_eq!(parse(Path::new("a"), &bytes, 1.0).unwrap(), mesh);
+        bytes.push(b'x');
+        assert!(fails(&bytes).contains("announces 2 triangles and holds 3"));
+        assert!(fails(&bytes[..183]).contains("holds 1 and 49 bytes"));
+    }
+
+    #[test]
+    fn a_bad_corner_is_placed() {
+        let mut bytes = encode(&[
+            TRIANGLE,
+            TRIANGLE,
+            [TRIANGLE[0], [f32::NAN, 0.0, 1.0], TRIANGLE[1]],
+        ]);
+        // Header, two records, normal, one corner.
+        assert!(fails(&bytes).contains("byte 208: found triangle 2 with a corner at (NaN, 0, 1)"));
+        bytes[208..212].copy_from_slice(&f32::MAX.to_le_bytes());
+        assert!(fails(&bytes).contains("1e12 mm"));
+    }
+
+    #[test]
+    fn ascii_mistakes_are_placed_on_their_line() {
+        let good = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n\
+                    vertex 0 1 0\nendloop\nendfacet\nendsolid a\n";
+        assert_eq!(
+            parse(Path::new("a"), good.as_bytes(), 1.0)
+                .unwrap()
+                .triangles,
+            [[0, 1, 2]]
+        );
+        for (from, to, words) in [
+            (
+                "vertex 1 0 0",
+                "vertex 1,5 0 0",
+                "a.stl:5: found \"1,5\" with a comma",
+            ),
+            ("vertex 1 0 0", "vertex 1 0", "a.stl:6: found \"vertex\""),
+            (
+                "vertex 1 0 0",
+                "vertex nan 0 0",
+                "a.stl:5: found a vertex at (NaN, 0, 0)",
+            ),
+            (
+                "endloop",
+                "vertex 1 1 0\nendloop",
+                "a.stl:7: found \"vertex\", expected endloop",
+            ),
+            ("endsolid a\n", "", "a.stl:8: found the end of the file"),
+            (
+                "endsolid a\n",
+                "endsolid a\nsolid b\n",
+                "a.stl:10: found the end of the file",
+            ),
+            (
+                "endsolid a\n",
+                "endsolid a\nrubbish\n",
+                "a.stl:10: found \"rubbish\"",
+            ),
+        ] {
+            let error = fails(good.replace(from, to).as_bytes());
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn binary_and_ascii_say_the_same(corners in prop::collection::vec(any::<[[i16; 3]; 3]>(), 1..40)) {
+            let triangles: Vec<_> = corners.iter().map(|t| t.map(|p| p.map(|c| f32::from(c) / 7.0))).collect();
+            let mut text = String::from("solid\n");
+            for t in &triangles {
+                text += "facet normal 0 0 0 outer loop ";
+                t.iter().for_each(|p| text += &format!("vertex {:?} {:?} {:?} ", f64::from(p[0]), f64::from(p[1]), f64::from(p[2])));
+                text += "endloop endfacet\n";
+            }
+            text += "endsolid";
+            let binary = parse(Path::new("b"), &encode(&triangles), 0.1).unwrap();
+            prop_assert_eq!(&binary, &parse(Path::new("a"), text.as_bytes(), 0.1).unwrap());
+            for (i, t) in triangles.iter().enumerate() {
+                let expected = t.map(|p| DVec3::from_array(p.map(f64::from)) * 0.1);
+                prop_assert_eq!(binary.triangle(i), expected);
+            }
+        }
+    }
+}
