@@ -202,31 +202,22 @@ impl<'m> Accel<'m> {
         (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
     }
 
-    /// The part of the ray inside the bounding box, as the f32 ray Embree sees
-    /// and the distance its origin was advanced.
-    fn clip(&self, ray: &Ray) -> Option<(DVec3, f64, f64)> {
+    /// Distances between which the ray is inside the bounding box.
+    pub fn interval(&self, ray: &Ray) -> Option<(f64, f64)> {
         let margin = DVec3::splat(2.0 * self.resolution());
         let inverse = ray.direction.recip();
         let near = (self.bounds.min - margin - ray.origin) * inverse;
         let far = (self.bounds.max + margin - ray.origin) * inverse;
-        // A ray parallel to a slab and on its face gives 0·∞ = NaN, which
-        // glam's componentwise min and max pass on; such an axis limits nothing.
+        // A ray parallel to a slab and on its very face gives 0·∞ = NaN, of which
+        // min and max take the other operand. It is on the widened box, so it
+        // meets nothing, and kept or dropped is the same.
         let (mut enter, mut leave) = (0.0f64, ray.t_max);
         for axis in 0..3 {
             let (a, b) = (near[axis], far[axis]);
-            if a.is_nan() || b.is_nan() {
-                continue;
-            }
             enter = enter.max(a.min(b));
             leave = leave.min(a.max(b));
         }
-        (enter <= leave).then(|| {
-            (
-                ray.origin + ray.direction * enter - self.center,
-                enter,
-                leave,
-            )
-        })
+        (enter <= leave).then_some((enter, leave))
     }
 
     fn pack(&self, rays: &[Ray]) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
@@ -248,9 +239,10 @@ impl<'m> Accel<'m> {
             flags: [0; WIDTH],
         };
         for (i, ray) in rays.iter().enumerate() {
-            let Some((origin, enter, leave)) = self.clip(ray) else {
+            let Some((enter, leave)) = self.interval(ray) else {
                 continue;
             };
+            let origin = ray.origin + ray.direction * enter - self.center;
             valid.0[i] = -1;
             advanced[i] = enter;
             let (origin, direction) = (origin.as_vec3(), ray.direction.as_vec3());
@@ -261,8 +253,20 @@ impl<'m> Accel<'m> {
         (valid, packet, advanced)
     }
 
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64.
-    pub fn closest(&self, rays: &[Ray]) -> [Option<Hit>; WIDTH] {
+    /// Greatest difference between the distance Embree finds and the one that is
+    /// taken after refinement, mm.
+    pub fn refinement(&self) -> f64 {
+        self.bounds.size().length() * 1e-3
+    }
+
+    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
+    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
+    /// distance; else as if nothing were hit.
+    pub fn closest(
+        &self,
+        rays: &[Ray],
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
         let (valid, ray, advanced) = self.pack(rays);
         let mut packet = ffi::RTCRayHit16 {
             ray,
@@ -274,15 +278,17 @@ impl<'m> Accel<'m> {
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
         unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
-        let tolerance = self.bounds.size().length() * 1e-3;
         std::array::from_fn(|i| {
             if packet.hit.geomID[i] == ffi::LT_NO_GEOMETRY {
                 return None;
             }
-            let triangle = packet.hit.primID[i];
             let t = advanced[i] + packet.ray.tfar[i] as f64;
+            if !wanted(i, t) {
+                return None;
+            }
+            let triangle = packet.hit.primID[i];
             let corners = self.mesh.triangle(triangle as usize);
-            refine(&rays[i], triangle, corners, t, tolerance)
+            refine(&rays[i], triangle, corners, t, self.refinement())
         })
     }
 

@@ -7,7 +7,7 @@ mod simulation;
 
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
-pub use simulation::Simulation;
+pub use simulation::{Simulation, plan};
 
 use crate::error::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -7,9 +7,7 @@ use crate::error::Result;
 use crate::inspect::chart::short;
 use crate::inspect::cloud::{self, CloudPoint};
 use crate::inspect::deviation::DeviationStatistics;
-use crate::inspect::picture::{
-    ParallelView, cloud_picture, encode_counts, encode_for_eyes,
-};
+use crate::inspect::picture::{ParallelView, cloud_picture, encode_counts, encode_for_eyes};
 use crate::inspect::report::{Report, SampleFrame};
 use crate::math::DVec3;
 use crate::profile::Peak;
@@ -61,7 +59,13 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
     let profiles = out.join("profiles");
     let frames = out.join("frames");
     files::create_folder(&profiles)?;
-    for name in ["manifest.json", "summary.json", "report.html", "cloud.ply", "frame.png"] {
+    for name in [
+        "manifest.json",
+        "summary.json",
+        "report.html",
+        "cloud.ply",
+        "frame.png",
+    ] {
         files::remove(&out.join(name))?;
     }
     files::remove_all(&profiles, "profile-")?;
@@ -130,7 +134,10 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
 /// One line a measured column: pixels, then the point in the part's frame.
 fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<()> {
     files::write(path, |out| {
-        writeln!(out, "column,row_px,intensity_dn,x_mm,y_mm,z_mm,deviation_um")?;
+        writeln!(
+            out,
+            "column,row_px,intensity_dn,x_mm,y_mm,z_mm,deviation_um"
+        )?;
         // Points are in the order of their peaks, and a peak may have none.
         let mut points = points.iter().peekable();
         for peak in peaks {
@@ -151,7 +158,10 @@ fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<(
 /// The frame with the greatest spread of depth: there is most to see.
 fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> (u32, SampleFrame) {
     let scene = simulation.scene;
-    let up = scene.world_from_part.inverse().vector(scene.head_from_laser.rotation.z_axis);
+    let up = scene
+        .world_from_part
+        .inverse()
+        .vector(scene.head_from_laser.rotation.z_axis);
     let spread = |points: &Vec<CloudPoint>| {
         let n = points.len().max(1) as f64;
         let mean = points.iter().map(|p| p.position.dot(up)).sum::<f64>() / n;
@@ -171,7 +181,10 @@ fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> (u32, Sa
         png: encode_for_eyes(&counts, sensor.resolution.x as usize, sensor.max_count()),
         width: sensor.resolution.x,
         height: sensor.resolution.y,
-        line: peaks.iter().map(|p| (p.column as f64 + 0.5, p.row)).collect(),
+        line: peaks
+            .iter()
+            .map(|p| (p.column as f64 + 0.5, p.row))
+            .collect(),
     };
     (shown, frame)
 }
@@ -188,20 +201,35 @@ fn report<'a>(
     let mut sizes: Vec<f64> = deviations_um.iter().map(|d| d.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     // 98 of 100 points within the colours; a nanometre where all is exact.
-    let limit = sizes.get(sizes.len() * 98 / 100).map_or(1.0, |&d| d.max(1e-3));
+    let limit = sizes
+        .get(sizes.len() * 98 / 100)
+        .map_or(1.0, |&d| d.max(1e-3));
     let plan = &simulation.plan;
     Report {
-        title: scene.path.file_stem().and_then(|s| s.to_str()).map_or("scan", |_| "Laser-triangulation scan"),
+        title: scene
+            .path
+            .file_stem()
+            .and_then(|s| s.to_str())
+            .map_or("scan", |_| "Laser-triangulation scan"),
         facts: vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{} triangles", scene.mesh.triangles.len())),
-            ("frames", format!("{} (frame {shown} shown below)", summary.frames)),
+            (
+                "frames",
+                format!("{} (frame {shown} shown below)", summary.frames),
+            ),
             (
                 "columns with a point",
                 format!("{} of 100", short(summary.measured_share * 100.0)),
             ),
-            ("1 px along the beam", format!("{} µm", short(1e3 / plan.px_per_mm))),
-            ("speckle size", format!("{} px", short(plan.speckle_size_px))),
+            (
+                "1 px along the beam",
+                format!("{} µm", short(1e3 / plan.px_per_mm)),
+            ),
+            (
+                "speckle size",
+                format!("{} px", short(plan.speckle_size_px)),
+            ),
         ],
         frame: Some(frame),
         views: two_views(simulation)
@@ -219,7 +247,12 @@ fn report<'a>(
             .iter()
             .map(|e| {
                 let modelled = if e.modelled { "yes" } else { "no" };
-                [e.effect.into(), modelled.into(), e.method.clone(), e.why.clone()]
+                [
+                    e.effect.into(),
+                    modelled.into(),
+                    e.method.clone(),
+                    e.why.clone(),
+                ]
             })
             .collect(),
     }

@@ -104,11 +104,7 @@ impl<'s> Simulation<'s> {
                 let position = part_from_camera.point(calibration.point(peak)?);
                 Some(CloudPoint {
                     position,
-                    deviation: signed_distance(
-                        &self.accel,
-                        position,
-                        part_from_camera.translation,
-                    ),
+                    deviation: signed_distance(&self.accel, position, part_from_camera.translation),
                     intensity: peak.intensity,
                     frame,
                     column: peak.column,
@@ -125,7 +121,8 @@ fn camera_from_laser(scene: &Scene) -> Rigid {
 
 /// The plan for a scene, with the head in the middle of its way.
 pub fn plan(scene: &Scene) -> Plan {
-    let laser_from_part = (scene.part_from_head(scene.scan.frames / 2) * scene.head_from_laser).inverse();
+    let laser_from_part =
+        (scene.part_from_head(scene.scan.frames / 2) * scene.head_from_laser).inverse();
     let corners = scene.mesh.bounds().corners();
     Plan::new(
         &scene.laser,

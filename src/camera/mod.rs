@@ -15,7 +15,7 @@ pub use sensor::{Noise, Sensor};
 use crate::math::{DMat3, DVec2, DVec3};
 
 /// A lens with a sensor behind it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Camera {
     pub lens: Lens,
     pub sensor: Sensor,

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, Normal, Poisson};
 /// h·c, in mJ·mm: the energy of a photon is this over its wavelength in mm.
 const PLANCK_TIMES_LIGHT_SPEED: f64 = 6.626_070_15e-34 * 299_792_458.0 * 1e6;
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Sensor {
     /// Columns, rows.
     pub resolution: UVec2,
@@ -25,7 +25,7 @@ pub struct Sensor {
 }
 
 /// Temporal noise: Poisson shot noise and Gaussian read noise.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Noise {
     pub read_noise_e: f64,
 }

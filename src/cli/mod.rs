@@ -14,8 +14,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 static STOP: AtomicBool = AtomicBool::new(false);
 
 #[derive(Parser)]
-#[command(version, about, after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
-    70 internal, 74 input/output, 75 temporary (disk full, interrupted): run again.")]
+#[command(
+    version,
+    about,
+    after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
+    70 internal, 74 input/output, 75 temporary (disk full, interrupted): run again."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -110,9 +110,14 @@ pub fn cloud_picture(
                 })
                 .collect();
             for (i, packet) in rays.chunks(WIDTH).enumerate() {
-                for (j, hit) in accel.closest(packet)[..packet.len()].iter().enumerate() {
+                for (j, hit) in accel.closest(packet, |_, _| true)[..packet.len()]
+                    .iter()
+                    .enumerate()
+                {
                     if let Some(hit) = hit {
-                        let light = hit.normal.dot((view.right * -0.4 + view.down * -0.5 - into).normalize());
+                        let light = hit
+                            .normal
+                            .dot((view.right * -0.4 + view.down * -0.5 - into).normalize());
                         let grey = 70.0 + 110.0 * light.max(0.0);
                         pixels[i * WIDTH + j] = [grey as u8; 3];
                         depth[i * WIDTH + j] = hit.t;

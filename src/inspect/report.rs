@@ -195,7 +195,11 @@ mod tests {
         };
         let html = report.html();
         assert!(html.contains("a &lt;b&gt; &amp; c") && html.contains("x&lt;y&gt;.toml"));
-        assert_eq!(html.matches("<polyline").count(), 2, "a gap breaks the line");
+        assert_eq!(
+            html.matches("<polyline").count(),
+            2,
+            "a gap breaks the line"
+        );
         assert!(!html.contains("http"), "nothing is loaded from elsewhere");
     }
 }

@@ -76,16 +76,58 @@ struct Frame<'a> {
     sensor_origin: DVec3,
     sensor_column: DVec3,
     sensor_row: DVec3,
+    /// Eye and half extents of the lit box in the laser frame: a camera ray meets
+    /// light only inside it.
+    eye_in_laser: DVec3,
+    reach: DVec2,
     /// Numerator of the pupil's solid angle: area × cos·cos/r² is
     /// this × z/r⁴ with r the distance to the sensor point.
     pupil: f64,
 }
 
-/// A sample whose surface faces the light, before its shadow ray is traced.
-struct Lit {
-    column: usize,
-    /// Contribution to the pixel's mean irradiance if nothing blocks the light.
-    irradiance: f64,
+/// A place on the sensor whose ray may meet light.
+#[derive(Clone, Copy)]
+struct Sample {
+    pixel: DVec2,
+    ray: Ray,
+    /// Distances between which a hit may be lit.
+    lit: (f64, f64),
+    /// Irradiance on the sensor per radiance, sr.
+    solid_angle: f64,
+}
+
+/// Up to 16 samples of one sub-row, from left to right.
+struct Packet {
+    samples: [Sample; WIDTH],
+    rays: [Ray; WIDTH],
+    count: usize,
+}
+
+impl Packet {
+    fn new(eye: DVec3) -> Packet {
+        let ray = Ray {
+            origin: eye,
+            direction: DVec3::Z,
+            t_max: 0.0,
+        };
+        let sample = Sample {
+            pixel: DVec2::ZERO,
+            ray,
+            lit: (0.0, 0.0),
+            solid_angle: 0.0,
+        };
+        Packet {
+            samples: [sample; WIDTH],
+            rays: [ray; WIDTH],
+            count: 0,
+        }
+    }
+
+    fn push(&mut self, sample: Sample) {
+        self.rays[self.count] = sample.ray;
+        self.samples[self.count] = sample;
+        self.count += 1;
+    }
 }
 
 impl<'a> Frame<'a> {
@@ -94,10 +136,19 @@ impl<'a> Frame<'a> {
         let origin = at(0.0, 0.0);
         let (column, row) = (at(1.0, 0.0) - origin, at(0.0, 1.0) - origin);
         let normal = column.cross(row).normalize();
+        let laser_from_part = view.part_from_laser.inverse();
+        let eye = view.part_from_camera.translation;
+        let corners = view.accel.bounds().corners();
+        let furthest = corners
+            .map(|c| laser_from_part.point(c).length())
+            .into_iter()
+            .fold(0.0, f64::max);
         Frame {
             view,
-            laser_from_part: view.part_from_laser.inverse(),
-            eye: view.part_from_camera.translation,
+            eye,
+            eye_in_laser: laser_from_part.point(eye),
+            reach: view.laser.reach(furthest),
+            laser_from_part,
             sensor_origin: origin,
             sensor_column: column,
             sensor_row: row,
@@ -109,67 +160,100 @@ impl<'a> Frame<'a> {
     fn render_row(&self, row: usize, sums: &mut [f64]) {
         sums.fill(0.0);
         let side = self.view.samples_per_side as usize;
-        let samples = sums.len() * side;
         for sub_row in 0..side {
             let y = row as f64 + (sub_row as f64 + 0.5) / side as f64;
-            for first in (0..samples).step_by(WIDTH) {
-                let count = WIDTH.min(samples - first);
-                let pixels: [DVec2; WIDTH] = std::array::from_fn(|i| {
-                    DVec2::new(((first + i) as f64 + 0.5) / side as f64, y)
-                });
-                self.render_packet(&pixels[..count], sums);
+            let mut packet = Packet::new(self.eye);
+            for i in 0..sums.len() * side {
+                let pixel = DVec2::new((i as f64 + 0.5) / side as f64, y);
+                if let Some(sample) = self.sample(pixel) {
+                    packet.push(sample);
+                    if packet.count == WIDTH {
+                        self.render_packet(&packet, sums);
+                        packet.count = 0;
+                    }
+                }
             }
+            self.render_packet(&packet, sums);
         }
     }
 
-    fn render_packet(&self, pixels: &[DVec2], sums: &mut [f64]) {
-        let unused = Ray {
+    /// The camera ray of a place on the sensor; `None` if it meets no light.
+    fn sample(&self, pixel: DVec2) -> Option<Sample> {
+        let to_sensor =
+            self.sensor_origin + self.sensor_column * pixel.x + self.sensor_row * pixel.y;
+        let r2 = to_sensor.length_squared();
+        let direction = self.view.part_from_camera.vector(to_sensor / r2.sqrt());
+        let (from, to) = self.lit_interval(self.laser_from_part.vector(direction))?;
+        let ray = Ray {
             origin: self.eye,
-            direction: DVec3::Z,
-            t_max: 0.0,
+            direction,
+            t_max: f64::INFINITY,
         };
-        let mut rays = [unused; WIDTH];
-        let mut solid_angles = [0.0; WIDTH];
-        for (i, pixel) in pixels.iter().enumerate() {
-            let to_sensor =
-                self.sensor_origin + self.sensor_column * pixel.x + self.sensor_row * pixel.y;
-            let r2 = to_sensor.length_squared();
-            solid_angles[i] = self.pupil * to_sensor.z / (r2 * r2);
-            rays[i] = Ray {
-                origin: self.eye,
-                direction: self.view.part_from_camera.vector(to_sensor / r2.sqrt()),
-                t_max: f64::INFINITY,
-            };
-        }
-        let hits = self.view.accel.closest(&rays[..pixels.len()]);
+        let (enter, leave) = self.view.accel.interval(&ray)?;
+        (from.max(enter) <= to.min(leave)).then_some(Sample {
+            pixel,
+            ray,
+            lit: (from, to),
+            solid_angle: self.pupil * to_sensor.z / (r2 * r2),
+        })
+    }
 
+    /// Distances between which a camera ray along `direction` (laser frame) is in
+    /// the lit box, widened by what refinement may move a hit.
+    fn lit_interval(&self, direction: DVec3) -> Option<(f64, f64)> {
+        let (mut from, mut to) = (0.0f64, f64::INFINITY);
+        for axis in 0..2 {
+            let (start, speed) = (self.eye_in_laser[axis], direction[axis]);
+            if speed == 0.0 {
+                if start.abs() > self.reach[axis] {
+                    return None;
+                }
+                continue;
+            }
+            let middle = -start / speed;
+            let half = self.reach[axis] / speed.abs();
+            from = from.max(middle - half);
+            to = to.min(middle + half);
+        }
+        let margin = self.view.accel.refinement();
+        (from <= to).then_some((from - margin, to + margin))
+    }
+
+    fn render_packet(&self, packet: &Packet, sums: &mut [f64]) {
+        let (samples, rays) = (
+            &packet.samples[..packet.count],
+            &packet.rays[..packet.count],
+        );
+        let in_light = |i: usize, t: f64| {
+            let (from, to) = samples[i].lit;
+            from <= t && t <= to
+        };
+        let hits = self.view.accel.closest(rays, in_light);
         let per_sample = 1.0 / (self.view.samples_per_side as f64).powi(2);
-        let mut shadow_rays = [unused; WIDTH];
-        let mut lit: [Lit; WIDTH] = std::array::from_fn(|_| Lit {
-            column: 0,
-            irradiance: 0.0,
-        });
+        let mut shadow_rays = [packet.rays[0]; WIDTH];
+        let mut lit = [(0, 0.0); WIDTH];
         let mut count = 0;
-        for (i, pixel) in pixels.iter().enumerate() {
-            let Some((received, shadow_ray)) = hits[i].and_then(|hit| self.light_at(&hit)) else {
+        for (sample, hit) in samples.iter().zip(hits) {
+            let Some((received, shadow_ray)) = hit.and_then(|hit| self.light_at(&hit)) else {
                 continue;
             };
             let radiance = self.view.surface.radiance(received);
-            let speckle = self.view.speckle.map_or(1.0, |s| s.intensity(*pixel));
+            let speckle = self
+                .view
+                .speckle
+                .map_or(1.0, |speckle| speckle.intensity(sample.pixel));
             shadow_rays[count] = shadow_ray;
-            lit[count] = Lit {
-                column: pixel.x as usize,
-                irradiance: radiance * solid_angles[i] * speckle * per_sample,
-            };
+            let irradiance = radiance * sample.solid_angle * speckle * per_sample;
+            lit[count] = (sample.pixel.x as usize, irradiance);
             count += 1;
         }
         if count == 0 {
             return;
         }
         let blocked = self.view.accel.occluded(&shadow_rays[..count]);
-        for (i, lit) in lit[..count].iter().enumerate() {
+        for (i, &(column, irradiance)) in lit[..count].iter().enumerate() {
             if blocked >> i & 1 == 0 {
-                sums[lit.column] += lit.irradiance;
+                sums[column] += irradiance;
             }
         }
     }
@@ -178,9 +262,7 @@ impl<'a> Frame<'a> {
     /// seen, and the ray on which it may be blocked.
     fn light_at(&self, hit: &Hit) -> Option<(f64, Ray)> {
         let light = self.view.laser.at(self.laser_from_part.point(hit.point))?;
-        let received = -light
-            .flux
-            .dot(self.laser_from_part.vector(hit.normal));
+        let received = -light.flux.dot(self.laser_from_part.vector(hit.normal));
         if received <= 0.0 {
             return None;
         }

@@ -126,7 +126,12 @@ impl Plan {
             effect(
                 "speckle",
                 speckle,
-                if speckle { "precomputed pattern" } else { "none" }.into(),
+                if speckle {
+                    "precomputed pattern"
+                } else {
+                    "none"
+                }
+                .into(),
                 format!(
                     "grain {:.2} px; it moves each centroid by about {:.2} px (1σ)",
                     self.speckle_size_px,
@@ -187,7 +192,10 @@ impl LineImage {
             defocus_blur_px: 0.0,
             px_per_mm: f64::INFINITY,
         };
-        let middle = part.center().with_y(0.0).max(DVec3::new(f64::MIN, 0.0, 1e-3));
+        let middle = part
+            .center()
+            .with_y(0.0)
+            .max(DVec3::new(f64::MIN, 0.0, 1e-3));
         let grid = (0..81).map(|i| {
             let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
             (part.min + part.size() * share).with_y(0.0)
@@ -245,7 +253,10 @@ mod tests {
                 .fold(0.0, f64::max);
             // Second aliases and the sum's own error are what is left.
             let bound = sampling_error(sigma, n);
-            assert!((worst / bound - 1.0).abs() < 0.05, "{sigma} {n}: {worst} {bound}");
+            assert!(
+                (worst / bound - 1.0).abs() < 0.05,
+                "{sigma} {n}: {worst} {bound}"
+            );
         }
     }
 

@@ -35,14 +35,17 @@ pub fn truth_layers(view: &View) -> Truth {
                 .collect();
             let hits: Vec<Option<Hit>> = rays
                 .chunks(WIDTH)
-                .flat_map(|packet| view.accel.closest(packet)[..packet.len()].to_vec())
+                .flat_map(|packet| view.accel.closest(packet, |_, _| true)[..packet.len()].to_vec())
                 .collect();
             hits
         })
         .collect();
     let vector = |of: fn(&Hit) -> crate::math::DVec3| {
         hits.iter()
-            .map(|hit| hit.as_ref().map_or([0.0; 3], |h| of(h).as_vec3().to_array()))
+            .map(|hit| {
+                hit.as_ref()
+                    .map_or([0.0; 3], |h| of(h).as_vec3().to_array())
+            })
             .collect()
     };
     Truth {

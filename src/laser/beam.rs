@@ -5,7 +5,7 @@ use crate::math::DVec3;
 use std::f64::consts::PI;
 
 /// A Gaussian beam; lengths in mm, measured along the axis from the aperture.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Beam {
     pub wavelength: f64,
     pub power_mw: f64,

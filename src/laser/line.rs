@@ -5,7 +5,7 @@ use crate::math::DVec3;
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, SQRT_2};
 
 /// Power per radian of fan angle φ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub enum FanProfile {
     /// Powell lens: P/Φ over the full angle Φ, nothing outside.
     Uniform,
@@ -13,7 +13,7 @@ pub enum FanProfile {
     Gaussian,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Fan {
     /// Full angle Φ, rad, in (0, π).
     pub angle: f64,

@@ -10,7 +10,7 @@ mod line;
 pub use beam::Beam;
 pub use line::{Fan, FanProfile};
 
-use crate::math::DVec3;
+use crate::math::{DVec2, DVec3};
 
 /// Light of the laser at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +24,7 @@ pub struct Illumination {
     pub aperture_point: DVec3,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Laser {
     pub beam: Beam,
     /// `None` for a point laser.
@@ -44,5 +44,14 @@ impl Laser {
             None => self.beam.round(p),
             Some(fan) => fan.sheet(&self.beam, p),
         }
+    }
+
+    /// Half extents in x and y of a box around the z axis outside which there is
+    /// no light at distances up to `distance` from the aperture, mm.
+    pub fn reach(&self, distance: f64) -> DVec2 {
+        // w(z) is convex: it is greatest at an end.
+        let radius = self.beam.radius(0.0).max(self.beam.radius(distance));
+        let y = CUTOFF_RADII * radius;
+        DVec2::new(if self.fan.is_some() { f64::INFINITY } else { y }, y)
     }
 }

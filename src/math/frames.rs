@@ -4,7 +4,7 @@
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 
 /// Rotation followed by translation (mm).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Rigid {
     pub rotation: DMat3,
     pub translation: DVec3,

@@ -65,17 +65,29 @@ fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
     Some((row, intensity))
 }
 
-/// Median of the column and standard deviation about it from the median absolute
-/// deviation (×1.4826 for normal noise). The line covers less than half of it.
+/// Mean and standard deviation of the column without its line: what lies further
+/// than four deviations off is left out, again and again until nothing more is.
 fn background(column: &[u16]) -> (f64, f64) {
-    let mut sorted: Vec<u16> = column.to_vec();
-    sorted.sort_unstable();
-    let median = sorted[sorted.len() / 2];
-    for count in &mut sorted {
-        *count = count.abs_diff(median);
+    let (mut low, mut high) = (0.0, f64::INFINITY);
+    let mut kept = 0;
+    loop {
+        let (mut n, mut sum, mut squares) = (0, 0.0, 0.0);
+        for &count in column {
+            let count = count as f64;
+            if (low..=high).contains(&count) {
+                n += 1;
+                sum += count;
+                squares += count * count;
+            }
+        }
+        let mean = sum / n as f64;
+        let sigma = (squares / n as f64 - mean * mean).max(0.0).sqrt();
+        if n == kept {
+            return (mean, sigma);
+        }
+        kept = n;
+        (low, high) = (mean - 4.0 * sigma - 0.5, mean + 4.0 * sigma + 0.5);
     }
-    sorted.sort_unstable();
-    (median as f64, 1.4826 * sorted[sorted.len() / 2] as f64)
 }
 
 /// Standard deviation of a Gaussian as wide at half height as the run of pixels
@@ -89,12 +101,7 @@ fn half_height_sigma(column: &[u16], top: usize, level: f64) -> f64 {
 
 /// Centroid and sum of the counts above background from row `low` to row `high`;
 /// a pixel that is partly inside counts for that part, at that part's middle.
-fn windowed_centroid(
-    column: &[u16],
-    background: f64,
-    low: f64,
-    high: f64,
-) -> Option<(f64, f64)> {
+fn windowed_centroid(column: &[u16], background: f64, low: f64, high: f64) -> Option<(f64, f64)> {
     let low = low.max(0.0);
     let high = high.min(column.len() as f64);
     let (mut sum, mut moment) = (0.0, 0.0);

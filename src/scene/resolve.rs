@@ -13,7 +13,7 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
 /// Positions of the scan head along a straight line, turned nowhere.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct LinearScan {
     pub start: DVec3,
     /// From one frame to the next.
@@ -22,6 +22,7 @@ pub struct LinearScan {
 }
 
 /// A validated scene: the world at rest and the head's way through it.
+#[derive(serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
     /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
@@ -29,6 +30,7 @@ pub struct Scene {
     pub seed: u64,
     pub speckle: bool,
     pub write_frames: bool,
+    #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
     pub world_from_part: Rigid,

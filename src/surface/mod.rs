@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_1_PI;
 
 /// Lambert's law: the same radiance in all directions.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lambert {
     /// Share of the received flux that is reflected, 0 to 1.
     pub reflectance: f64,

@@ -1,0 +1,59 @@
+use super::{Output, SceneArguments};
+use crate::batch;
+use crate::error::Result;
+use crate::integrator::Plan;
+use crate::mesh::{self, MeshReport};
+use crate::scene::Scene;
+use serde::Serialize;
+use std::fmt::Write;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+}
+
+#[derive(Serialize)]
+struct Check<'a> {
+    scene: &'a Scene,
+    mesh: MeshReport,
+    plan: Plan,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load()?;
+    let check = Check {
+        mesh: mesh::report(&scene.mesh),
+        plan: batch::plan(&scene),
+        scene: &scene,
+    };
+    output.result(&check, &text(&check))
+}
+
+fn text(check: &Check) -> String {
+    let resolved = serde_json::to_string_pretty(check.scene).expect("a scene is JSON");
+    let mut text = format!("scene\n{resolved}\n\nmesh\n{}\n\nplan\n", check.mesh);
+    for effect in &check.plan.effects {
+        let modelled = if effect.modelled {
+            "modelled"
+        } else {
+            "left out"
+        };
+        let _ = writeln!(
+            text,
+            "  {:<32} {modelled:<9} {}: {}",
+            effect.effect, effect.method, effect.why
+        );
+    }
+    if let (Some([x, y]), Some(distance)) = (
+        check.plan.scheimpflug_tilt_deg,
+        check.plan.laser_plane_distance_mm,
+    ) {
+        let _ = writeln!(
+            text,
+            "\nthe laser plane is in focus with camera.tilt_deg = [{x:.4}, {y:.4}] and \
+             camera.focus_distance_mm = {distance:.3}"
+        );
+    }
+    text
+}
