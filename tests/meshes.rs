@@ -412,3 +412,25 @@ fn no_changed_or_missing_byte_brings_a_reader_down() {
         }
     }
 }
+
+proptest::proptest! {
+    /// Several changes at once, and pieces of one format inside another.
+    #[test]
+    fn no_mixture_brings_a_reader_down(
+        pick in 0..6usize, other in 0..6usize, at in 0..2000usize, from in 0..2000usize, length in 0..60usize,
+        changes in proptest::collection::vec((0..2000usize, proptest::prelude::any::<u8>()), 0..6),
+    ) {
+        let all = tetrahedra();
+        let (mut bytes, donor) = (all[pick].1.clone(), &all[other].1);
+        let from = from % donor.len();
+        let piece = &donor[from..donor.len().min(from + length)];
+        let at = at % bytes.len();
+        let end = bytes.len().min(at + length / 2);
+        bytes.splice(at..end, piece.iter().copied());
+        for (at, value) in changes {
+            let at = at % bytes.len();
+            bytes[at] = value;
+        }
+        parse(&bytes);
+    }
+}

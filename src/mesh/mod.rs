@@ -79,7 +79,7 @@ impl Mesh {
 /// count or an index that does not fit, a vertex that is not a number or lies
 /// beyond 10¹² mm, no triangle at all.
 ///
-/// Memory is at most 10 times the file for STL, 30 times for OBJ and PLY
+/// Memory is at most 6 times the file for STL, 30 times for OBJ and PLY
 /// (their shortest statements are a few bytes long; usual files need 2 to 5).
 ///
 /// # Panics

@@ -14,7 +14,7 @@
 use std::collections::HashMap;
 use std::io::{self, BufRead, Read};
 
-use super::polygon::{Cutter, MOST_CORNERS};
+use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote};
 use super::{Mesh, Source};
 use crate::error::{Error, Place};
@@ -22,50 +22,13 @@ use crate::math::DVec3;
 
 /// The statements of the format (Wavefront, Advanced Visualizer manual,
 /// appendix B1), current and superseded.
-pub const STATEMENTS: [&[u8]; 42] = [
-    b"v",
-    b"vt",
-    b"vn",
-    b"vp",
-    b"f",
-    b"fo",
-    b"l",
-    b"p",
-    b"o",
-    b"g",
-    b"s",
-    b"mg",
-    b"mtllib",
-    b"usemtl",
-    b"maplib",
-    b"usemap",
-    b"cstype",
-    b"deg",
-    b"bmat",
-    b"step",
-    b"curv",
-    b"curv2",
-    b"surf",
-    b"parm",
-    b"trim",
-    b"hole",
-    b"scrv",
-    b"sp",
-    b"end",
-    b"con",
-    b"bevel",
-    b"c_interp",
-    b"d_interp",
-    b"lod",
-    b"shadow_obj",
-    b"trace_obj",
-    b"ctech",
-    b"stech",
-    b"call",
-    b"csh",
-    b"vc",
-    b"usemat",
-];
+const STATEMENTS: &str = "v vt vn vp vc f fo l p o g s mg mtllib usemtl usemat maplib usemap \
+    cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con bevel c_interp d_interp \
+    lod shadow_obj trace_obj ctech stech call csh";
+
+pub fn is_statement(word: &[u8]) -> bool {
+    STATEMENTS.split(' ').any(|s| s.as_bytes() == word)
+}
 
 /// Faces after which `tobj` is made to start a new object: it keeps 104 bytes a
 /// face until then.
@@ -98,7 +61,9 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     let mut triangles = Vec::new();
     let mut cutter = Cutter::default();
     for model in models {
-        append(model.mesh, &mut cutter, &mut positions, &mut triangles);
+        if !append(model.mesh, &mut cutter, &mut positions, &mut triangles) {
+            return Err(source.error(Place::File, TOO_MUCH[0], TOO_MUCH[1]));
+        }
     }
     // Vertices first referred to before they stood in the file.
     for t in &triangles {
@@ -113,13 +78,14 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     source.mesh(&positions, &triangles)
 }
 
-/// Adds the faces of one of `tobj`'s models, cut to triangles.
+/// Adds the faces of one of `tobj`'s models, cut to triangles. False if that
+/// is too much work.
 fn append(
     mesh: tobj::Mesh,
     cutter: &mut Cutter,
     positions: &mut Vec<DVec3>,
     triangles: &mut Vec<[u32; 3]>,
-) {
+) -> bool {
     let first = u32::try_from(positions.len()).expect("an OBJ of more than 2³² vertices");
     let (xyz, _) = mesh.positions.as_chunks::<3>();
     positions.extend(xyz.iter().map(|p| DVec3::from_array(*p)));
@@ -127,14 +93,14 @@ fn append(
     corners.iter_mut().for_each(|i| *i += first);
     if mesh.face_arities.is_empty() {
         triangles.extend(corners.as_chunks::<3>().0);
-        return;
+        return true;
     }
     let mut rest = corners.as_slice();
-    for arity in mesh.face_arities {
+    mesh.face_arities.iter().all(|&arity| {
         let (face, others) = rest.split_at(arity as usize);
-        cutter.cut(positions, face, triangles);
         rest = others;
-    }
+        cutter.cut(positions, face, triangles)
+    })
 }
 
 /// The file as `tobj` gets it, made line by line.
@@ -189,7 +155,7 @@ impl<'a> Plain<'a> {
         match words.split_first() {
             Some((&b"v", coordinates)) => self.vertex(coordinates, place)?,
             Some((&b"f" | &b"fo", corners)) => self.face(corners, place)?,
-            Some((statement, _)) if !STATEMENTS.contains(statement) => {
+            Some((statement, _)) if !is_statement(statement) => {
                 let line = Place::Line(place);
                 return Err(self
                     .source

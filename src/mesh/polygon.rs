@@ -9,12 +9,32 @@ use crate::math::DVec3;
 /// below it.
 pub const MOST_CORNERS: usize = 10_000;
 
-/// Cuts polygons, keeping its buffers between them.
-#[derive(Default)]
+/// Cuts the polygons of one file, keeping its buffers between them.
 pub struct Cutter {
+    /// Squares of corner counts that may still be spent: 2·10⁹ at first, which
+    /// is half a minute if every polygon crosses itself in the worst way, and
+    /// 2000 polygons of 1000 corners.
+    allowance: u64,
     earcut: Earcut<f64>,
     flat: Vec<[f64; 2]>,
     cut: Vec<u32>,
+}
+
+/// What a file gets that asks for more cutting than that.
+pub const TOO_MUCH: [&str; 2] = [
+    "polygons with too many corners in all",
+    "them cut to triangles by the program that wrote them",
+];
+
+impl Default for Cutter {
+    fn default() -> Cutter {
+        Cutter {
+            allowance: 2_000_000_000,
+            earcut: Earcut::new(),
+            flat: Vec::new(),
+            cut: Vec::new(),
+        }
+    }
 }
 
 impl Cutter {
@@ -26,12 +46,24 @@ impl Cutter {
     /// triangle, so that neighbours still match along collinear corners. For
     /// one that crosses itself or has no area no cut is right; it becomes a
     /// fan about its first corner, which keeps its border.
-    pub fn cut(&mut self, positions: &[DVec3], corners: &[u32], triangles: &mut Vec<[u32; 3]>) {
+    ///
+    /// False, with nothing appended, when the file has had its share of work.
+    #[must_use]
+    pub fn cut(
+        &mut self,
+        positions: &[DVec3],
+        corners: &[u32],
+        triangles: &mut Vec<[u32; 3]>,
+    ) -> bool {
         if let [a, b, c] = *corners {
             triangles.push([a, b, c]);
-            return;
+            return true;
         }
         let n = corners.len();
+        let Some(left) = self.allowance.checked_sub((n * n) as u64) else {
+            return false;
+        };
+        self.allowance = left;
         let start = triangles.len();
         if self.flatten(positions, corners) {
             self.earcut.earcut_slice(&self.flat, &[], &mut self.cut);
@@ -44,13 +76,16 @@ impl Cutter {
                 false => ears.iter().map(|&[a, b, c]| [c, b, a]).collect(),
             };
             restore_collinear(n as u32, &mut todo);
-            if todo.len() == n - 2 && self.covers(&todo) {
+            // Even short of n − 2 triangles: the right area with a crack, which the
+            // report counts, is better than a fan over the wrong one.
+            if self.covers(&todo) {
                 triangles.extend(todo.iter().map(|t| t.map(|i| corners[i as usize])));
             }
         }
         if triangles.len() == start {
             triangles.extend((1..n - 1).map(|i| [corners[0], corners[i], corners[i + 1]]));
         }
+        true
     }
 
     /// Projects the polygon to a plane across its area vector (Newell's normal)
@@ -123,7 +158,7 @@ mod tests {
         let positions: Vec<_> = points.iter().map(|p| lift(p[0], p[1])).collect();
         let corners: Vec<u32> = (0..points.len() as u32).collect();
         let mut triangles = Vec::new();
-        Cutter::default().cut(&positions, &corners, &mut triangles);
+        assert!(Cutter::default().cut(&positions, &corners, &mut triangles));
         (positions, triangles)
     }
 
@@ -193,6 +228,20 @@ mod tests {
         let (signed, size) = areas(&result, DVec3::Z);
         assert!((signed - 9.0).abs() < 1e-12 && (size - 9.0).abs() < 1e-12);
         assert!(border_kept(9, &result.1));
+    }
+
+    #[test]
+    fn work_is_rationed() {
+        let mut cutter = Cutter {
+            allowance: 40,
+            ..Cutter::default()
+        };
+        let mut cut = |corners: &[u32]| cutter.cut(&[DVec3::ZERO; 5], corners, &mut Vec::new());
+        assert_eq!(
+            [cut(&[0, 1, 2, 3, 4]), cut(&[0, 1, 2, 3, 4])],
+            [true, false]
+        );
+        assert!(cut(&[0, 1, 2]));
     }
 
     #[test]

@@ -97,7 +97,7 @@ pub fn format(source: &Source) -> Result<Format, Error> {
     }
     match first_word(bytes) {
         Some(word) if word.eq_ignore_ascii_case(b"solid") => Ok(Format::AsciiStl),
-        Some(word) if obj::STATEMENTS.contains(&word) => Ok(Format::Obj),
+        Some(word) if obj::is_statement(word) => Ok(Format::Obj),
         Some(word) => Err(source.error(
             Place::File,
             format!("{} bytes of text beginning with {}", bytes.len(), quote(word)),

@@ -6,112 +6,20 @@
 //! the last element blank lines (ASCII) or too few bytes for one more of it
 //! (binary) are ignored; more is refused, since then the counts are wrong.
 
-use super::polygon::{Cutter, MOST_CORNERS};
+use header::{Element, Encoding, Scalar};
+
+use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote, words};
 use super::{Mesh, Source};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Encoding {
-    Ascii,
-    Little,
-    Big,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn named(name: &[u8]) -> Option<Scalar> {
-        Some(match name {
-            b"char" | b"int8" => Scalar::I8,
-            b"uchar" | b"uint8" => Scalar::U8,
-            b"short" | b"int16" => Scalar::I16,
-            b"ushort" | b"uint16" => Scalar::U16,
-            b"int" | b"int32" => Scalar::I32,
-            b"uint" | b"uint32" => Scalar::U32,
-            b"float" | b"float32" => Scalar::F32,
-            b"double" | b"float64" => Scalar::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Scalar::I8 | Scalar::U8 => 1,
-            Scalar::I16 | Scalar::U16 => 2,
-            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
-            Scalar::F64 => 8,
-        }
-    }
-
-    fn is_integer(self) -> bool {
-        !matches!(self, Scalar::F32 | Scalar::F64)
-    }
-
-    /// Value of `size()` bytes, low byte first; exact for every type.
-    fn value(self, bytes: [u8; 8]) -> f64 {
-        let raw = u64::from_le_bytes(bytes);
-        match self {
-            Scalar::I8 => f64::from(raw as i8),
-            Scalar::U8 => f64::from(raw as u8),
-            Scalar::I16 => f64::from(raw as i16),
-            Scalar::U16 => f64::from(raw as u16),
-            Scalar::I32 => f64::from(raw as i32),
-            Scalar::U32 => f64::from(raw as u32),
-            Scalar::F32 => f64::from(f32::from_bits(raw as u32)),
-            Scalar::F64 => f64::from_bits(raw),
-        }
-    }
-}
-
-struct Property<'a> {
-    name: &'a [u8],
-    /// Type of the count, for a list.
-    count: Option<Scalar>,
-    item: Scalar,
-}
-
-struct Element<'a> {
-    name: &'a [u8],
-    count: u64,
-    properties: Vec<Property<'a>>,
-    line: usize,
-}
-
-impl Element<'_> {
-    /// Bytes that one of these takes at least.
-    fn least(&self, encoding: Encoding) -> u64 {
-        match encoding {
-            // A digit and a separator each.
-            Encoding::Ascii => 2 * self.properties.len() as u64,
-            _ => (self.properties.iter())
-                .map(|p| p.count.unwrap_or(p.item).size() as u64)
-                .sum(),
-        }
-    }
-
-    fn property(&self, name: &str) -> Option<usize> {
-        self.properties
-            .iter()
-            .position(|p| p.name == name.as_bytes())
-    }
-}
+mod header;
 
 pub fn read(source: &Source) -> Result<Mesh, Error> {
     let mut lines = Lines::new(source.bytes);
-    let (encoding, elements) = header(source, &mut lines)?;
-    check_counts(source, encoding, &elements, lines.offset)?;
+    let (encoding, elements) = header::read(source, &mut lines)?;
+    header::check_counts(source, encoding, &elements, lines.offset)?;
     let mut body = Body {
         source,
         encoding,
@@ -136,119 +44,6 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
         return Err(source.no_triangles(&format!("a PLY of {}", names.join(", "))));
     }
     source.mesh(&positions, &triangles)
-}
-
-fn header<'a>(
-    source: &Source<'a>,
-    lines: &mut Lines<'a>,
-) -> Result<(Encoding, Vec<Element<'a>>), Error> {
-    let mut encoding = None;
-    let mut elements: Vec<Element> = Vec::new();
-    while let Some(line) = lines.next() {
-        let place = Place::Line(lines.number);
-        let words: Vec<&[u8]> = line
-            .split(u8::is_ascii_whitespace)
-            .filter(|w| !w.is_empty())
-            .collect();
-        match words[..] {
-            [b"ply"] if lines.number == 1 => {}
-            [] | [b"comment" | b"obj_info", ..] => {}
-            [b"format", name, b"1.0"] if encoding.is_none() => {
-                encoding = Some(match name {
-                    b"ascii" => Encoding::Ascii,
-                    b"binary_little_endian" => Encoding::Little,
-                    b"binary_big_endian" => Encoding::Big,
-                    _ => {
-                        return Err(source.error(
-                            place,
-                            quote(name),
-                            "ascii, binary_little_endian or binary_big_endian",
-                        ));
-                    }
-                });
-            }
-            [b"element", name, count] => {
-                let parsed = std::str::from_utf8(count).ok().and_then(|c| c.parse().ok());
-                let Some(count) = parsed else {
-                    return Err(source.error(place, quote(count), "a count"));
-                };
-                if elements.iter().any(|e| e.name == name) {
-                    let found = format!("a second element {}", quote(name));
-                    return Err(source.error(place, found, "each element once"));
-                }
-                elements.push(Element {
-                    name,
-                    count,
-                    properties: Vec::new(),
-                    line: lines.number,
-                });
-            }
-            [b"property", ref rest @ ..] => {
-                let property = property(rest).zip(elements.last_mut());
-                let Some((property, element)) = property else {
-                    let expected =
-                        "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
-                    return Err(source.error(place, quote(line), expected));
-                };
-                element.properties.push(property);
-            }
-            [b"end_header"] => {
-                return match encoding {
-                    Some(encoding) => Ok((encoding, elements)),
-                    None => Err(source.error(place, "a header without format", "\"format … 1.0\"")),
-                };
-            }
-            _ => return Err(source.error(place, quote(line), "a PLY header line")),
-        }
-    }
-    let end = Place::Line(lines.number);
-    Err(source.error(end, "the end of the file (is it cut off?)", "end_header"))
-}
-
-fn property<'a>(words: &[&'a [u8]]) -> Option<Property<'a>> {
-    let (count, item, name) = match *words {
-        [b"list", count, item, name] => (Some(Scalar::named(count)?), item, name),
-        [item, name] => (None, item, name),
-        _ => return None,
-    };
-    if count.is_some_and(|c| !c.is_integer()) {
-        return None;
-    }
-    Some(Property {
-        name,
-        count,
-        item: Scalar::named(item)?,
-    })
-}
-
-/// Refuses counts the file is too small for, before memory is taken for them.
-fn check_counts(
-    source: &Source,
-    encoding: Encoding,
-    elements: &[Element],
-    body: usize,
-) -> Result<(), Error> {
-    // The last line of a text may lack its end.
-    let mut left = (source.bytes.len() - body) as u128 + 1;
-    for element in elements {
-        let needed = u128::from(element.count) * u128::from(element.least(encoding));
-        if needed > left {
-            return Err(source.error(
-                Place::Line(element.line),
-                format!(
-                    "{} elements {}, at least {needed} bytes",
-                    element.count,
-                    quote(element.name)
-                ),
-                format!(
-                    "no more than the {} bytes left of the file",
-                    left.saturating_sub(1)
-                ),
-            ));
-        }
-        left -= needed;
-    }
-    Ok(())
 }
 
 /// The data after the header.
@@ -388,7 +183,7 @@ impl<'a> Body<'a> {
                 .source
                 .error(line, "vertices without x, y or z", "all three"));
         };
-        // The count fits the file: check_counts().
+        // The count fits the file: header::check_counts().
         positions.reserve_exact(element.count as usize);
         let mut values = vec![0.0; element.properties.len()];
         let mut list = Vec::new();
@@ -431,7 +226,9 @@ impl<'a> Body<'a> {
                 continue;
             }
             self.corners(&list, number, place, positions, &mut face)?;
-            cutter.cut(positions, &face, triangles);
+            if !cutter.cut(positions, &face, triangles) {
+                return Err(self.source.error(place, TOO_MUCH[0], TOO_MUCH[1]));
+            }
         }
         Ok(())
     }
