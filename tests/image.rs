@@ -233,7 +233,10 @@ fn an_asymmetric_part_is_seen_the_right_way_round() {
             .project(part_from_camera.inverse().point(center))
             .unwrap();
         // Perspective and the beam's profile shift a plate 80 px wide a little.
-        assert!((centroid - expected).length() < 0.5, "{centroid} {expected}");
+        assert!(
+            (centroid - expected).length() < 0.5,
+            "{centroid} {expected}"
+        );
         seen.push(centroid);
     }
     let (right, back, raised) = (seen[0], seen[1], seen[2]);

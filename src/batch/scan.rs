@@ -31,8 +31,8 @@ pub struct ScanSummary {
     pub deviation: Option<DeviationStatistics>,
     pub cloud: PathBuf,
     pub report: PathBuf,
-    /// The frame shown in the report, as the sensor sees it.
-    pub picture: PathBuf,
+    /// The frame shown in the report, and the cloud over the part.
+    pub pictures: [PathBuf; 2],
 }
 
 /// `manifest.json`: what was run, with what, and how long it took.
@@ -65,6 +65,7 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
         "report.html",
         "cloud.ply",
         "frame.png",
+        "cloud.png",
     ] {
         files::remove(&out.join(name))?;
     }
@@ -97,8 +98,6 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
     let measured = Instant::now();
 
     let (shown, sample) = sample_frame(&simulation, &points);
-    let picture = out.join("frame.png");
-    files::write_bytes(&picture, &sample.png)?;
     let points = points.concat();
     let summary = ScanSummary {
         scene: scene.path.clone(),
@@ -108,11 +107,13 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
         deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),
-        picture,
+        pictures: ["frame.png", "cloud.png"].map(|name| out.join(name)),
     };
+    files::write_bytes(&summary.pictures[0], &sample.png)?;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
-    let html = report(&simulation, &points, &summary, sample, shown).html();
-    files::write_bytes(&summary.report, html.as_bytes())?;
+    let report = report(&simulation, &points, &summary, sample, shown);
+    files::write_bytes(&summary.pictures[1], &report.views[1].1)?;
+    files::write_bytes(&summary.report, report.html().as_bytes())?;
     files::write_json(&out.join("summary.json"), &summary)?;
     let manifest = Manifest {
         program: env!("CARGO_PKG_NAME"),

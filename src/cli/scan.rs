@@ -33,9 +33,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         None => "no point was measured: no line was found in any frame".to_owned(),
     };
     let text = format!(
-        "{deviation}\nopen the report:  {}\nsensor frame:     {}\npoint cloud:      {}",
+        "{deviation}\nopen the report:  {}\nsensor frame:     {}\ncloud over part:  {}\npoint cloud:      {}",
         summary.report.display(),
-        summary.picture.display(),
+        summary.pictures[0].display(),
+        summary.pictures[1].display(),
         summary.cloud.display()
     );
     output.result(&summary, &text)

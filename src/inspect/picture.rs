@@ -134,9 +134,16 @@ pub fn cloud_picture(
         if !(x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height) {
             continue;
         }
-        let i = y as usize * width + x as usize;
-        if p.dot(into) - start <= depth[i] + tolerance {
-            pixels[i] = diverging_color(point.deviation, limit);
+        // Two pixels wide and high, so that a cloud as dense as the picture covers
+        // the part.
+        let color = diverging_color(point.deviation, limit);
+        for (x, y) in
+            [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| (x as usize + i, y as usize + j))
+        {
+            let i = y * width + x;
+            if x < width && y < height && p.dot(into) - start <= depth[i] + tolerance {
+                pixels[i] = color;
+            }
         }
     }
     encode_rgb(&pixels, width)
