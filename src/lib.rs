@@ -2,3 +2,4 @@
 //! to the images it would take and the points it would measure.
 pub mod error;
 pub mod math;
+pub mod speckle;

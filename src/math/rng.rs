@@ -31,10 +31,7 @@ impl Key {
     }
 
     pub fn with(self, index: u64) -> Key {
-        Key(mix(
-            self.0 ^ mix(index.wrapping_mul(GOLDEN).wrapping_add(GOLDEN))
-        )
-        .wrapping_add(GOLDEN))
+        Key(mix(self.0 ^ mix(index.wrapping_mul(GOLDEN).wrapping_add(GOLDEN))).wrapping_add(GOLDEN))
     }
 
     /// The `counter`-th 64 random bits of this key.
@@ -123,10 +120,7 @@ mod tests {
                 .sum::<f64>()
                 / n;
             assert!((mean - 0.5).abs() < 5.0 / (12.0 * n).sqrt(), "{mean}");
-            assert!(
-                (var - 1.0 / 12.0).abs() < 5.0 / (180.0 * n).sqrt(),
-                "{var}"
-            );
+            assert!((var - 1.0 / 12.0).abs() < 5.0 / (180.0 * n).sqrt(), "{var}");
             assert!(lag.abs() < 5.0 / (12.0 * n.sqrt()), "{lag}");
         }
     }
