@@ -7,3 +7,4 @@ pub mod wave_centroid;
 pub mod wave_correlation;
 pub mod wave_motion;
 pub mod wave_patch;
+pub mod wave_plot;

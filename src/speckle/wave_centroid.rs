@@ -176,20 +176,39 @@ fn row_peak(image: &WaveImage, row: isize, reach: isize) -> RowPeak {
 mod tests {
     use super::*;
 
-    #[test]
-    fn table() {
-        let setup = LineSetup {
+    fn noise(widths_grains: &[f64], realisations: u64) -> Vec<CentroidRow> {
+        line_centroid_noise(&LineSetup {
             wavelength_mm: 660e-6,
             distance: 300.0,
             pupil_diameter: 10.0,
-            widths_grains: vec![0.1, 0.3, 0.5, 0.8, 1.25, 2.0, 3.0, 5.0],
-            realisations: 60,
-            seed: 1,
-        };
-        let start = std::time::Instant::now();
-        for row in line_centroid_noise(&setup).unwrap() {
-            println!("{row:?}");
+            widths_grains: widths_grains.to_vec(),
+            realisations,
+            seed: 3,
+        })
+        .unwrap()
+    }
+
+    /// Within 1.5 times the 95 % interval, three standard errors, which 32 surfaces
+    /// make less than 8 % of the value.
+    #[test]
+    fn the_law_of_incoherent_speckle_holds_for_lines_wider_than_a_grain() {
+        for row in noise(&[1.5, 3.0], 32) {
+            let half = 0.75 * (row.waves.high - row.waves.low);
+            assert!((row.waves.value - row.law).abs() < half, "{row:?}");
+            assert!(half < 0.08 * row.law, "{row:?}");
         }
-        println!("{:?}", start.elapsed());
+    }
+
+    /// Each row of a line much thinner than a grain shows the weighted mean place
+    /// of its scatterers: the noise falls as w, not as the law's √w.
+    #[test]
+    fn the_law_stops_for_a_line_much_thinner_than_a_grain() {
+        let rows = noise(&[0.05, 0.1], 48);
+        for row in &rows {
+            assert!(row.waves_bright.high < 0.6 * row.law, "{row:?}");
+        }
+        let growth = rows[1].waves_bright.value / rows[0].waves_bright.value;
+        // Twice, each value with an interval of ±7 %: three standard errors are 15 %.
+        assert!((growth / 2.0 - 1.0).abs() < 0.15, "{growth}");
     }
 }

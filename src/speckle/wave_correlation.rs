@@ -4,6 +4,7 @@
 use super::wave::{WaveImage, fft2};
 use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
+use rayon::prelude::*;
 use rustfft::FftDirection;
 use rustfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -77,12 +78,12 @@ pub fn correlate_pairs(
     let pixel = pairs[0][0].grid.pixel_mm;
     let half = expected / 2.0;
     let shifted: Vec<[WaveImage; 2]> = pairs
-        .iter()
+        .par_iter()
         .map(|[first, second]| [displaced(first, half), displaced(second, -half)])
         .collect();
     let mean = [0, 1].map(|k| mean_image(shifted.iter().map(|pair| &pair[k])));
     let sums: Vec<PairSums> = shifted
-        .iter()
+        .par_iter()
         .map(|pair| pair_sums(pair, &mean, region))
         .collect();
     let all: Vec<usize> = (0..sums.len()).collect();
@@ -244,4 +245,100 @@ fn peak_offset(values: &[f64; LAGS]) -> Option<DVec2> {
     let vertex = DVec2::new(hxy * gy - hyy * gx, hxy * gx - hxx * gy) / determinant;
     (determinant > 0.0 && vertex.abs().max_element() <= 1.0)
         .then(|| vertex + DVec2::new(x as f64, y as f64) - DVec2::splat(SEARCH as f64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use crate::speckle::wave::{ImageGrid, Pupil, PupilField, intensity_at_focus};
+
+    /// A pupil field of independent circular Gaussian samples.
+    fn random_field(key: Key) -> PupilField {
+        let reach = 10usize;
+        let side = 2 * reach + 1;
+        let value = |k: usize| {
+            let (i, j) = (k % side, k / side);
+            if i.abs_diff(reach).pow(2) + j.abs_diff(reach).pow(2) > reach * reach {
+                return Complex64::ZERO;
+            }
+            let u = |c| key.with(k as u64).uniform(c);
+            Complex64::from_polar((-(1.0 - u(0)).ln()).sqrt(), TAU * u(1))
+        };
+        let pupil = Pupil {
+            centre: DVec3::Z * 300.0,
+            right: DVec3::X,
+            up: DVec3::Y,
+            diameter: 10.0,
+        };
+        PupilField {
+            pupil,
+            wavelength_mm: 660e-6,
+            pitch: 0.5,
+            reach,
+            values: (0..side * side).map(value).collect(),
+            inside: 317,
+        }
+    }
+
+    /// `count` pairs whose fields correlate by μ, the second displaced by `way`.
+    fn pairs(count: u64, mu: f64, way: DVec2) -> Vec<[WaveImage; 2]> {
+        let grid = ImageGrid {
+            pixels: 128,
+            pixel_mm: 660e-6 * 300.0 / 0.5 / 128.0,
+            focus_distance: 300.0,
+        };
+        let field = |k| random_field(Key::new(9, Purpose::WaveScatterers).with(k));
+        (0..count)
+            .map(|k| {
+                let (first, mut other) = (field(2 * k), field(2 * k + 1));
+                for (o, f) in other.values.iter_mut().zip(&first.values) {
+                    *o = f * mu + *o * (1.0 - mu * mu).sqrt();
+                }
+                let second = intensity_at_focus(&other, &grid);
+                [intensity_at_focus(&first, &grid), displaced(&second, way)]
+            })
+            .collect()
+    }
+
+    /// Nineteen of twenty intervals hold the true value; these seeds are fixed, and
+    /// 1.5 intervals are three standard errors.
+    #[test]
+    fn gamma_is_the_square_of_the_field_correlation_and_zero_without_bias() {
+        for mu in [0.0, 0.4, 0.8] {
+            let way = DVec2::new(0.011, -0.004);
+            let found = correlate_pairs(&pairs(24, mu, way), way, 100, 1);
+            let half = 0.75 * (found.gamma.high - found.gamma.low);
+            let error = found.gamma.value - mu * mu;
+            assert!(error.abs() < half && half < 0.06, "{mu}: {:?}", found.gamma);
+            assert_eq!(found.displacement.is_some(), mu > 0.3, "{mu}");
+        }
+    }
+
+    #[test]
+    fn a_displacement_off_the_expected_place_is_found_to_a_fraction_of_a_pixel() {
+        let way = DVec2::new(0.0133, -0.0042);
+        let found = correlate_pairs(&pairs(8, 1.0, way), way + DVec2::new(0.004, 0.002), 100, 1);
+        let [x, y] = found.displacement.unwrap();
+        // A grain is 6.4 pixels of 3.1 µm; a paraboloid through nine of them is off
+        // the true peak by a few hundredths of a pixel.
+        assert!((x.value - way.x).abs() < 0.15e-3, "{x:?}");
+        assert!((y.value - way.y).abs() < 0.15e-3, "{y:?}");
+    }
+
+    #[test]
+    fn the_paraboloid_finds_its_own_vertex_and_refuses_a_border() {
+        let vertex = DVec2::new(1.3, -0.6);
+        let side = 2 * SEARCH as usize + 1;
+        let place = |k: usize| DVec2::new((k % side) as f64, (k / side) as f64) - SEARCH as f64;
+        let hill = |top: DVec2| -> [f64; LAGS] {
+            std::array::from_fn(|k| {
+                let d = place(k) - top;
+                5.0 - d.x * d.x - 0.4 * d.x * d.y - 2.0 * d.y * d.y
+            })
+        };
+        let found = peak_offset(&hill(vertex)).unwrap();
+        assert!((found - vertex).length() < 1e-12, "{found}");
+        assert_eq!(peak_offset(&hill(DVec2::new(6.0, 0.0))), None);
+    }
 }
