@@ -1,6 +1,14 @@
 //! Subjective laser speckle, read from precomputed patterns.
+//!
+//! `pattern` makes one pattern, `slices` a closed ring of correlated ones,
+//! `texture` stores them, `lookup` reads them at a `coordinate`; `theory` has
+//! the closed forms and `statistics` holds the patterns against them.
 
+pub mod coordinate;
+mod fixed;
 pub mod lookup;
 pub mod pattern;
 pub mod slices;
+mod spectrum;
+mod texture;
 pub mod theory;
