@@ -1,11 +1,20 @@
-//! Subjective laser speckle: precomputed patterns, where to read them as laser,
-//! part and camera move, and the wave-optics reference both are measured against.
+//! Subjective laser speckle.
+//!
+//! `pattern` makes one pattern, `slices` a closed ring of correlated ones,
+//! `texture` stores them, `lookup` reads them at a `coordinate`; `theory` has
+//! the closed forms. `motion` says where to read as laser, part and camera
+//! move, `anchor` does so for a scan. `wave*` is the slow wave-optics
+//! reference that all of it is measured against.
 
 pub mod anchor;
+pub mod coordinate;
+mod fixed;
 pub mod lookup;
 pub mod motion;
 pub mod pattern;
 pub mod slices;
+mod spectrum;
+mod texture;
 pub mod theory;
 pub mod wave;
 pub mod wave_cases;
