@@ -8,7 +8,7 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::integrator::{Plan, Speckle, View, irradiance_image};
 use crate::math::rng::{Key, Purpose};
-use crate::math::{Aabb, DVec2, Rigid};
+use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, find_peaks};
 use crate::scene::Scene;
 use crate::speckle::anchor::PoseAnchor;
@@ -130,7 +130,7 @@ impl Patterns {
                 scene.camera.speckle_size_gradient(wavelength),
             ),
             anchor: PoseAnchor::new(
-                surface_view(scene),
+                surface_view(scene, None),
                 reference.inverse().rotation,
                 scene.scan.step,
             ),
@@ -149,20 +149,23 @@ impl Patterns {
     }
 }
 
-/// The view in the middle of the field, in the head's frame: where the optical
-/// axis meets the laser plane (the plane of focus, if nowhere), on a surface
-/// across the beam.
-pub fn surface_view(scene: &Scene) -> SurfaceView {
+/// The view of `point` (head's frame) on a surface across the beam; by default the
+/// point in the middle of the field, where the optical axis meets the laser plane
+/// (the plane of focus, if nowhere).
+pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
     let camera = &scene.head_from_camera;
     let laser = &scene.head_from_laser;
     let (eye, axis) = (camera.translation, camera.rotation.z_axis);
     let normal = laser.rotation.y_axis;
     let distance = normal.dot(laser.translation - eye) / normal.dot(axis);
     let lens = &scene.camera.lens;
-    let point = match distance.is_finite() && distance > lens.focal_length {
-        true => eye + axis * distance,
-        false => eye + axis * lens.focus_distance,
-    };
+    let point =
+        point.unwrap_or_else(
+            || match distance.is_finite() && distance > lens.focal_length {
+                true => eye + axis * distance,
+                false => eye + axis * lens.focus_distance,
+            },
+        );
     let wave = scene.laser.wavefront(laser.inverse().point(point));
     let turn = laser.rotation;
     SurfaceView {
