@@ -272,17 +272,38 @@ impl Resolver<'_> {
             "camera.focus_distance_mm",
             "a distance beyond the focal length",
         )?;
-        let [columns, rows] = table.resolution_px;
-        self.check(
-            (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
-            "camera.resolution_px",
-            "from 1 to 65536 columns and rows",
-        )?;
+        let sensor = self.sensor(table)?;
         let tilt = self.finite(table.tilt_deg, "camera.tilt_deg")?;
         self.check(
             tilt.iter().all(|t| t.abs() <= 80.0),
             "camera.tilt_deg",
             "angles from -80 to 80",
+        )?;
+        let camera = Camera {
+            lens,
+            sensor,
+            tilt: DVec2::from(tilt).map(f64::to_radians),
+        };
+        // A tilted sensor must stay in front of the lens it is drawn before.
+        let [columns, rows] = table.resolution_px;
+        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
+        self.check(
+            corners
+                .iter()
+                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
+            "camera.tilt_deg",
+            "a tilt at which the sensor's corners stay behind the lens",
+        )?;
+        Ok(camera)
+    }
+
+    fn sensor(&self, table: &CameraTable) -> Result<Sensor> {
+        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
+        let [columns, rows] = table.resolution_px;
+        self.check(
+            (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
+            "camera.resolution_px",
+            "from 1 to 65536 columns and rows",
         )?;
         let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
         self.check(
@@ -306,7 +327,7 @@ impl Resolver<'_> {
             }),
             None => None,
         };
-        let sensor = Sensor {
+        Ok(Sensor {
             resolution: UVec2::new(columns, rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
             exposure_ms: positive(table.exposure_ms, "exposure_ms")?,
@@ -316,22 +337,7 @@ impl Resolver<'_> {
             full_well_e: positive(table.full_well_e, "full_well_e")?,
             black_level_dn: not_negative(table.black_level_dn, "black_level_dn")?,
             noise,
-        };
-        let camera = Camera {
-            lens,
-            sensor,
-            tilt: DVec2::from(tilt).map(f64::to_radians),
-        };
-        // A tilted sensor must stay in front of the lens it is drawn before.
-        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
-        self.check(
-            corners
-                .iter()
-                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
-            "camera.tilt_deg",
-            "a tilt at which the sensor's corners stay behind the lens",
-        )?;
-        Ok(camera)
+        })
     }
 
     fn camera_pose(&self, table: &CameraTable) -> Result<Rigid> {
