@@ -60,7 +60,8 @@ pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
         return c;
     }
     let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+    // d1 = d3 if a and b are one point: the edge from a to c decides then.
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3 {
         return a + ab * (d1 / (d1 - d3));
     }
     let vb = d5 * d2 - d1 * d6;
@@ -104,6 +105,28 @@ mod tests {
                 found <= best + 1e-12 && best - found < 0.03,
                 "{p}: {found} {best}"
             );
+        }
+    }
+
+    /// CAD meshes hold triangles without area; a distance to one is one all the
+    /// same. The segment from x = 0 to 2 along x, corners in every order.
+    #[test]
+    fn a_triangle_without_area_is_a_segment_or_a_point() {
+        let segment = [0.0, 1.0, 2.0];
+        for order in 0..27 {
+            let corners = [order % 3, order / 3 % 3, order / 9].map(|i| DVec3::X * segment[i]);
+            let (low, high) = corners
+                .iter()
+                .fold((2.0f64, 0.0f64), |(l, h), c| (l.min(c.x), h.max(c.x)));
+            for i in -4..=12 {
+                let p = DVec3::new(i as f64 / 4.0, 0.5, -0.25);
+                let nearest = nearest_on_triangle(corners, p);
+                let expected = DVec3::X * p.x.clamp(low, high);
+                assert!(
+                    nearest.distance(expected) < 1e-15,
+                    "{corners:?} {p}: {nearest}"
+                );
+            }
         }
     }
 

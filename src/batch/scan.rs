@@ -56,24 +56,7 @@ struct Manifest<'a> {
 /// for them. What an earlier run left there under these names goes first.
 pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary> {
     let start = Instant::now();
-    let profiles = out.join("profiles");
-    let frames = out.join("frames");
-    files::create_folder(&profiles)?;
-    for name in [
-        "manifest.json",
-        "summary.json",
-        "report.html",
-        "cloud.ply",
-        "frame.png",
-        "cloud.png",
-    ] {
-        files::remove(&out.join(name))?;
-    }
-    files::remove_all(&profiles, "profile-")?;
-    files::remove_all(&frames, "frame-")?;
-    if scene.write_frames {
-        files::create_folder(&frames)?;
-    }
+    let (profiles, frames) = clear(scene, out)?;
     let simulation = Simulation::new(scene)?;
     let prepared = Instant::now();
 
@@ -130,6 +113,29 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
     Ok(summary)
+}
+
+/// Makes the folders for profiles and frames, free of an earlier run's files. The
+/// manifest goes first: from here on the run is not complete.
+fn clear(scene: &Scene, out: &Path) -> Result<(PathBuf, PathBuf)> {
+    let (profiles, frames) = (out.join("profiles"), out.join("frames"));
+    files::create_folder(&profiles)?;
+    for name in [
+        "manifest.json",
+        "summary.json",
+        "report.html",
+        "cloud.ply",
+        "frame.png",
+        "cloud.png",
+    ] {
+        files::remove(&out.join(name))?;
+    }
+    files::remove_all(&profiles, "profile-")?;
+    files::remove_all(&frames, "frame-")?;
+    if scene.write_frames {
+        files::create_folder(&frames)?;
+    }
+    Ok((profiles, frames))
 }
 
 /// One line a measured column: pixels, then the point in the part's frame.

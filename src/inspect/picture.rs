@@ -50,6 +50,26 @@ pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> 
     encode_rgb(&pixels, width)
 }
 
+/// Grey and depth of the part along each ray; both stay where it is missed.
+fn shade(
+    accel: &Accel,
+    rays: &[Ray],
+    towards_light: DVec3,
+    pixels: &mut [[u8; 3]],
+    depth: &mut [f64],
+) {
+    for (i, packet) in rays.chunks(WIDTH).enumerate() {
+        let hits = accel.closest(packet, |_, _| true);
+        for (j, hit) in hits[..packet.len()].iter().enumerate() {
+            if let Some(hit) = hit {
+                let grey = 70.0 + 110.0 * hit.normal.dot(towards_light).max(0.0);
+                pixels[i * WIDTH + j] = [grey as u8; 3];
+                depth[i * WIDTH + j] = hit.t;
+            }
+        }
+    }
+}
+
 /// Colour of `value` between -limit (blue) over 0 (pale yellow) to +limit (red).
 pub fn diverging_color(value: f64, limit: f64) -> [u8; 3] {
     const BLUE: [f64; 3] = [49.0, 54.0, 149.0];
@@ -93,6 +113,7 @@ pub fn cloud_picture(
     let height = (((bottom - top + 2.0 * margin) * scale).ceil() as usize).clamp(1, 4 * width);
     let start = near - (far - near) * 0.1 - margin;
 
+    let towards_light = (view.right * -0.4 + view.down * -0.5 - into).normalize();
     let mut pixels = vec![[250u8; 3]; width * height];
     let mut depth = vec![f64::INFINITY; width * height];
     pixels
@@ -109,21 +130,7 @@ pub fn cloud_picture(
                     t_max: f64::INFINITY,
                 })
                 .collect();
-            for (i, packet) in rays.chunks(WIDTH).enumerate() {
-                for (j, hit) in accel.closest(packet, |_, _| true)[..packet.len()]
-                    .iter()
-                    .enumerate()
-                {
-                    if let Some(hit) = hit {
-                        let light = hit
-                            .normal
-                            .dot((view.right * -0.4 + view.down * -0.5 - into).normalize());
-                        let grey = 70.0 + 110.0 * light.max(0.0);
-                        pixels[i * WIDTH + j] = [grey as u8; 3];
-                        depth[i * WIDTH + j] = hit.t;
-                    }
-                }
-            }
+            shade(accel, &rays, towards_light, pixels, depth);
         });
 
     let tolerance = 0.01 * bounds.size().length();

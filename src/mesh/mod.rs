@@ -29,7 +29,7 @@ pub use check::{MeshReport, Orientation, report};
 
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
 /// volumes finite, and a flipped exponent bit from passing as a part.
-const LARGEST_MM: f64 = 1e12;
+pub const LARGEST_MM: f64 = 1e12;
 
 /// Triangles over shared vertices. Positions are in millimetres in the part's
 /// own frame; every index is below `positions.len()`, every position is
@@ -85,14 +85,19 @@ impl Mesh {
 /// # Panics
 /// If `unit_mm` is not a positive number: the scene has checked it.
 pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, Error> {
+    parse(path, &read(path)?, unit_mm)
+}
+
+/// The bytes of a mesh file. Errors: as `load`'s, for what is not a regular file
+/// or cannot be read.
+pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
     let kind = fs::metadata(path).map_err(Error::io("read", path))?;
     if !kind.is_file() {
         // A pipe or a device may never end.
         let found = "something that is not a regular file";
         return Err(InputError::new(path, Place::File, found, sniff::EXPECTED).into());
     }
-    let bytes = fs::read(path).map_err(Error::io("read", path))?;
-    parse(path, &bytes, unit_mm)
+    fs::read(path).map_err(Error::io("read", path))
 }
 
 /// `load` for bytes already in memory; `path` only names them in errors.

@@ -36,10 +36,10 @@ pub struct PartTable {
     /// Share of light reflected, diffusely (Lambert), 0 to 1.
     pub reflectance: f64,
     /// Where the part's origin lies in the world. Default: the world's origin.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// Rotation about the world's x, then y, then z axis. Default: none.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "array")]
     pub rotation_deg: [f64; 3],
 }
 
@@ -71,6 +71,7 @@ pub enum Unit {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaneTable {
+    #[serde(deserialize_with = "array")]
     pub size_mm: [f64; 2],
 }
 
@@ -98,6 +99,7 @@ pub struct CylinderTable {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepBlockTable {
+    #[serde(deserialize_with = "array")]
     pub size_mm: [f64; 3],
     pub step_mm: f64,
 }
@@ -116,8 +118,10 @@ pub struct LaserTable {
     #[serde(default = "one")]
     pub m_squared: f64,
     /// Centre of the laser's aperture.
+    #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// Where the beam goes; any length.
+    #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
     /// A line laser; without this table it is a point laser.
     pub line: Option<LineTable>,
@@ -132,6 +136,7 @@ pub struct LineTable {
     /// `uniform` (Powell lens) or `gaussian` (cylindrical lens).
     pub profile: ProfileName,
     /// Direction of the line; its part along the beam is ignored.
+    #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
 }
 
@@ -151,19 +156,23 @@ pub struct CameraTable {
     /// Distance along the axis from the lens to the plane in focus.
     pub focus_distance_mm: f64,
     /// Columns, rows.
+    #[serde(deserialize_with = "array")]
     pub resolution_px: [u32; 2],
     pub pixel_pitch_um: f64,
     /// Centre of the lens's pupil.
+    #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
     /// A point on the optical axis.
+    #[serde(deserialize_with = "array")]
     pub look_at_mm: [f64; 3],
     /// Direction of increasing columns; its part along the axis is ignored. The
     /// laser line must run along the columns.
+    #[serde(deserialize_with = "array")]
     pub columns: [f64; 3],
     /// Scheimpflug tilt of the sensor about the image's column axis and row axis.
     /// Default: none. `lasertrace check` prints the tilt that brings the laser
     /// plane into focus.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "array")]
     pub tilt_deg: [f64; 2],
     pub exposure_ms: f64,
     /// Electrons per photon, 0 to 1.
@@ -189,10 +198,25 @@ pub struct ScanTable {
     pub frames: u32,
     pub step_mm: f64,
     /// Direction of motion of the head in the world; any length.
+    #[serde(deserialize_with = "array")]
     pub direction: [f64; 3],
     /// Position of the head in frame 0. Default: the world's origin.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
+}
+
+/// An array of exactly `N`: serde itself takes the first `N` of a longer one.
+fn array<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    let values = Vec::<T>::deserialize(deserializer)?;
+    let length = values.len();
+    let expected = format!("an array of length {N}");
+    values
+        .try_into()
+        .map_err(|_| serde::de::Error::invalid_length(length, &expected.as_str()))
 }
 
 fn one() -> f64 {

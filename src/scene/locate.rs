@@ -24,7 +24,7 @@ impl Source {
         let mut entries = Vec::new();
         match DeTable::parse(&source.text) {
             Ok(table) => collect("", table.get_ref(), &mut entries),
-            Err(error) => return Err(source.explain(&error)),
+            Err(error) => return Err(source.not_toml(&error)),
         }
         source.entries = entries;
         Ok(source)
@@ -58,6 +58,13 @@ impl Source {
         self.error(place, Some(key), value, expected)
     }
 
+    fn not_toml(&self, error: &toml::de::Error) -> Error {
+        let place = self.line(error.span().map_or(0, |span| span.start));
+        let reason = error.message().replace('\n', "; ");
+        let found = format!("text that is not TOML ({reason})");
+        self.error(place, None, found, "TOML")
+    }
+
     /// An error of the TOML reader, in our words where it has a pattern.
     pub fn explain(&self, error: &toml::de::Error) -> Error {
         let message = error.message();
@@ -66,7 +73,8 @@ impl Source {
         let key = self
             .entries
             .iter()
-            .filter(|(_, k, v)| inside(k) || inside(v))
+            // The whole file's table has an empty span.
+            .filter(|(_, k, v)| !at.is_empty() && (inside(k) || inside(v)))
             .max_by_key(|(key, _, _)| key.matches('.').count())
             .map(|(key, _, _)| key.clone());
         let quoted = message.split('`').nth(1).unwrap_or_default();
@@ -74,7 +82,10 @@ impl Source {
             Some(table) => format!("{table}.{quoted}"),
             None => quoted.to_owned(),
         };
-        let place = self.line(at.start);
+        let place = match at.is_empty() {
+            true => Place::File,
+            false => self.line(at.start),
+        };
         if message.starts_with("missing field") {
             let key = join(key);
             return self.error(place, Some(&key), "no such key", "it to be given");
@@ -93,10 +104,13 @@ impl Source {
             .unwrap_or((message, "TOML"));
         let found = found
             .trim_start_matches("invalid type: ")
-            .trim_start_matches("invalid value: ");
+            .trim_start_matches("invalid value: ")
+            .replace("invalid length", "length");
         let expected = match expected {
             "f64" => "a number",
             "u32" | "u64" => "a whole number, not negative",
+            "a sequence" => "an array",
+            structure if structure.starts_with("struct ") => "a table",
             other => other,
         };
         self.error(place, key.as_deref(), found, expected)

@@ -3,7 +3,7 @@
 use super::file::{CameraTable, LaserTable, PartTable, ProfileName, SceneFile, Unit};
 use super::locate::Source;
 use crate::camera::{Camera, Lens, Noise, Sensor};
-use crate::error::{Error, Result};
+use crate::error::{Error, InputError, Place, Result};
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
@@ -44,12 +44,7 @@ pub struct Scene {
 impl Scene {
     /// Reads and validates a scene file and the mesh it names.
     pub fn load(path: &Path) -> Result<Scene> {
-        let text = std::fs::read(path).map_err(Error::io("read", path))?;
-        let text = String::from_utf8(text).map_err(|e| {
-            let place = crate::error::Place::Byte(e.utf8_error().valid_up_to() as u64);
-            crate::error::InputError::new(path, place, "bytes that are not UTF-8", "TOML text")
-        })?;
-        let source = Source::parse(path, text)?;
+        let source = Source::parse(path, read(path)?)?;
         let file: SceneFile =
             toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
         Resolver { source, path }.scene(file)
@@ -62,6 +57,20 @@ impl Scene {
     pub fn part_from_head(&self, frame: u32) -> Rigid {
         self.world_from_part.inverse() * self.world_from_head(frame)
     }
+}
+
+fn read(path: &Path) -> Result<String> {
+    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
+    if !kind.is_file() {
+        // A pipe may never end.
+        let found = "something that is not a regular file";
+        return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
+    }
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
+        InputError::new(path, place, "bytes that are not UTF-8", "TOML text").into()
+    })
 }
 
 struct Resolver<'a> {
@@ -84,9 +93,12 @@ impl Resolver<'_> {
             .map(|()| value)
     }
 
-    fn finite<const N: usize>(&self, value: [f64; N], key: &str) -> Result<[f64; N]> {
-        let holds = value.iter().all(|v| v.is_finite());
-        self.check(holds, key, "finite numbers").map(|()| value)
+    /// Lengths (mm) of either sign. The bound keeps their products finite.
+    fn lengths<const N: usize>(&self, value: [f64; N], key: &str) -> Result<[f64; N]> {
+        // Written so that NaN fails.
+        let holds = value.iter().all(|v| v.abs() <= mesh::LARGEST_MM);
+        self.check(holds, key, "finite numbers within 1e12 mm")
+            .map(|()| value)
     }
 
     fn direction(&self, value: [f64; 3], key: &str) -> Result<DVec3> {
@@ -103,17 +115,21 @@ impl Resolver<'_> {
             "part.reflectance",
             "a number from 0 to 1",
         )?;
-        let [rx, ry, rz] = self
-            .finite(file.part.rotation_deg, "part.rotation_deg")?
-            .map(f64::to_radians);
-        let position = self.finite(file.part.position_mm, "part.position_mm")?;
+        let rotation = file.part.rotation_deg;
+        self.check(
+            rotation.iter().all(|r| r.abs() <= 360.0),
+            "part.rotation_deg",
+            "angles from -360 to 360",
+        )?;
+        let rotation = DVec3::from(rotation).map(f64::to_radians);
+        let position = self.lengths(file.part.position_mm, "part.position_mm")?;
         let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let direction = self.direction(file.scan.direction, "scan.direction")?;
-        let [step] = self.finite([file.scan.step_mm], "scan.step_mm")?;
+        let [step] = self.lengths([file.scan.step_mm], "scan.step_mm")?;
         self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
@@ -126,13 +142,13 @@ impl Resolver<'_> {
             write_frames: file.write_frames,
             mesh,
             surface: Lambert { reflectance },
-            world_from_part: Rigid::from_euler_xyz(DVec3::new(rx, ry, rz), position.into()),
+            world_from_part: Rigid::from_euler_xyz(rotation, position.into()),
             laser,
             head_from_laser,
             camera,
             head_from_camera,
             scan: LinearScan {
-                start: self.finite(file.scan.start_mm, "scan.start_mm")?.into(),
+                start: self.lengths(file.scan.start_mm, "scan.start_mm")?.into(),
                 step: direction * step,
                 frames: file.scan.frames,
             },
@@ -160,13 +176,11 @@ impl Resolver<'_> {
         if let Some(table) = &part.mesh {
             let folder = self.path.parent().unwrap_or(Path::new(""));
             let file = folder.join(&table.file);
-            let bytes = std::fs::read(&file).map_err(|error| match error.kind() {
-                std::io::ErrorKind::NotFound => self.source.wrong(
-                    "part.mesh.file",
-                    &format!("a mesh file; there is none at {}", file.display()),
-                ),
-                _ => Error::io("read", &file)(error),
-            })?;
+            if !file.exists() {
+                let expected = format!("a mesh file; there is none at {}", file.display());
+                return Err(self.source.wrong("part.mesh.file", &expected));
+            }
+            let bytes = mesh::read(&file)?;
             let mesh = mesh::parse(&file, &bytes, unit_mm(table.unit))?;
             return Ok((mesh, Sha256::digest(&bytes).to_vec()));
         }
@@ -199,7 +213,7 @@ impl Resolver<'_> {
             waist_distance: table.waist_distance_mm,
             m_squared: table.m_squared,
         };
-        self.finite([table.waist_distance_mm], "laser.waist_distance_mm")?;
+        self.lengths([table.waist_distance_mm], "laser.waist_distance_mm")?;
         self.check(
             table.power_mw.is_finite() && table.power_mw >= 0.0,
             "laser.power_mw",
@@ -243,7 +257,7 @@ impl Resolver<'_> {
     /// A point laser has no line direction of its own: its measuring plane is the
     /// one through the beam along the camera's columns.
     fn laser_pose(&self, table: &LaserTable, head_from_camera: &Rigid) -> Result<Rigid> {
-        let origin = self.finite(table.position_mm, "laser.position_mm")?;
+        let origin = self.lengths(table.position_mm, "laser.position_mm")?;
         let z = self.direction(table.direction, "laser.direction")?;
         let (line, key) = match &table.line {
             Some(line) => (
@@ -272,17 +286,38 @@ impl Resolver<'_> {
             "camera.focus_distance_mm",
             "a distance beyond the focal length",
         )?;
+        let sensor = self.sensor(table)?;
+        let tilt = table.tilt_deg;
+        self.check(
+            tilt.iter().all(|t| t.abs() <= 80.0),
+            "camera.tilt_deg",
+            "angles from -80 to 80",
+        )?;
+        let camera = Camera {
+            lens,
+            sensor,
+            tilt: DVec2::from(tilt).map(f64::to_radians),
+        };
+        // A tilted sensor must stay in front of the lens it is drawn before.
+        let [columns, rows] = table.resolution_px;
+        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
+        self.check(
+            corners
+                .iter()
+                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
+            "camera.tilt_deg",
+            "a tilt at which the sensor's corners stay behind the lens",
+        )?;
+        Ok(camera)
+    }
+
+    fn sensor(&self, table: &CameraTable) -> Result<Sensor> {
+        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
         let [columns, rows] = table.resolution_px;
         self.check(
             (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
             "camera.resolution_px",
             "from 1 to 65536 columns and rows",
-        )?;
-        let tilt = self.finite(table.tilt_deg, "camera.tilt_deg")?;
-        self.check(
-            tilt.iter().all(|t| t.abs() <= 80.0),
-            "camera.tilt_deg",
-            "angles from -80 to 80",
         )?;
         let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
         self.check(
@@ -306,7 +341,7 @@ impl Resolver<'_> {
             }),
             None => None,
         };
-        let sensor = Sensor {
+        Ok(Sensor {
             resolution: UVec2::new(columns, rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
             exposure_ms: positive(table.exposure_ms, "exposure_ms")?,
@@ -316,27 +351,14 @@ impl Resolver<'_> {
             full_well_e: positive(table.full_well_e, "full_well_e")?,
             black_level_dn: not_negative(table.black_level_dn, "black_level_dn")?,
             noise,
-        };
-        let camera = Camera {
-            lens,
-            sensor,
-            tilt: DVec2::from(tilt).map(f64::to_radians),
-        };
-        // A tilted sensor must stay in front of the lens it is drawn before.
-        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
-        self.check(
-            corners
-                .iter()
-                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
-            "camera.tilt_deg",
-            "a tilt at which the sensor's corners stay behind the lens",
-        )?;
-        Ok(camera)
+        })
     }
 
     fn camera_pose(&self, table: &CameraTable) -> Result<Rigid> {
-        let origin: DVec3 = self.finite(table.position_mm, "camera.position_mm")?.into();
-        let target: DVec3 = self.finite(table.look_at_mm, "camera.look_at_mm")?.into();
+        let origin: DVec3 = self
+            .lengths(table.position_mm, "camera.position_mm")?
+            .into();
+        let target: DVec3 = self.lengths(table.look_at_mm, "camera.look_at_mm")?.into();
         let columns = self.direction(table.columns, "camera.columns")?;
         let z = (target - origin).try_normalize().ok_or_else(|| {
             self.source

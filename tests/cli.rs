@@ -1,0 +1,306 @@
+//! The program from outside: exit codes, messages, what goes to stdout and what
+//! to stderr.
+
+mod program;
+
+use program::{PLANE, assert_error, folder_with, run, scene};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+#[test]
+fn help_and_version_are_no_errors() {
+    let here = Path::new(".");
+    for arguments in [
+        &["--help"][..],
+        &["--version"],
+        &["scan", "--help"],
+        &["help", "check"],
+    ] {
+        let (code, stdout, stderr) = run(here, arguments);
+        assert_eq!((code, stderr.as_str()), (0, ""), "{arguments:?}");
+        assert!(!stdout.is_empty());
+    }
+    let (_, stdout, _) = run(here, &["--version"]);
+    assert!(stdout.contains(env!("CARGO_PKG_VERSION")), "{stdout}");
+    let (_, stdout, _) = run(here, &["--help"]);
+    assert!(stdout.contains("Exit codes"), "{stdout}");
+}
+
+#[test]
+fn a_wrong_command_line_is_a_usage_error() {
+    let folder = folder_with(&scene(PLANE));
+    for (arguments, word) in [
+        (&[][..], "Usage"),
+        (&["scna", "scene.toml"], "scna"),
+        (&["check"], "<SCENE>"),
+        (&["scan", "scene.toml"], "--output"),
+        (&["check", "scene.toml", "--frobnicate"], "--frobnicate"),
+        (&["check", "scene.toml", "--threads", "0"], "--threads"),
+        (&["check", "scene.toml", "--threads", "-1"], "-1"),
+        (&["check", "scene.toml", "--threads", "two"], "two"),
+        (&["check", "scene.toml", "--seed", "-1"], "-1"),
+        (&["render", "scene.toml", "-o", "x", "--frame", "-1"], "-1"),
+        (
+            &["render", "scene.toml", "-o", "x", "--frame", "3"],
+            "frames 0 to 2",
+        ),
+    ] {
+        assert_error(folder.path(), arguments, 64, &[word]);
+    }
+    assert!(
+        !folder.path().join("x").exists(),
+        "a refused frame left a folder"
+    );
+}
+
+#[test]
+fn an_absent_scene_is_an_input_output_error() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["check", "no.toml"][..], &["scan", "no.toml", "-o", "x"]] {
+        assert_error(folder.path(), arguments, 74, &["cannot read no.toml"]);
+    }
+    assert_error(
+        folder.path(),
+        &["check", "."],
+        65,
+        &["not a regular file", "TOML"],
+    );
+}
+
+/// A pipe with no writer never ends: it must not be opened.
+#[cfg(unix)]
+#[test]
+fn a_pipe_given_as_scene_or_mesh_does_not_hang() {
+    let folder = folder_with(&scene("mesh = { file = \"pipe\", unit = \"mm\" }"));
+    let made = std::process::Command::new("mkfifo")
+        .arg(folder.path().join("pipe"))
+        .status();
+    assert!(made.unwrap().success());
+    assert_error(
+        folder.path(),
+        &["check", "pipe"],
+        65,
+        &["pipe: found", "regular file"],
+    );
+    assert_error(
+        folder.path(),
+        &["check", "scene.toml"],
+        65,
+        &["pipe: found", "regular file"],
+    );
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_is_an_input_output_error() {
+    let folder = folder_with(&scene(PLANE));
+    let path = folder.path();
+    fs::write(path.join("file"), "mine").unwrap();
+    for command in ["scan", "render"] {
+        assert_error(path, &[command, "scene.toml", "-o", "file"], 74, &["file"]);
+        assert_error(
+            path,
+            &[command, "scene.toml", "-o", "file/x"],
+            74,
+            &["file/x"],
+        );
+        // Not even root can make a folder there.
+        assert_error(
+            path,
+            &[command, "scene.toml", "-o", "/proc/x"],
+            74,
+            &["/proc/x"],
+        );
+    }
+    assert_eq!(fs::read(path.join("file")).unwrap(), b"mine");
+    // A folder where a file is to be.
+    fs::create_dir_all(path.join("out/cloud.ply")).unwrap();
+    assert_error(
+        path,
+        &["scan", "scene.toml", "-o", "out"],
+        74,
+        &["out/cloud.ply"],
+    );
+    fs::create_dir_all(path.join("image/frame-000000.png")).unwrap();
+    assert_error(
+        path,
+        &["render", "scene.toml", "-o", "image"],
+        74,
+        &["frame-000000.png"],
+    );
+}
+
+/// One JSON object and nothing else.
+#[track_caller]
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    let (code, stdout, stderr) = run(folder, arguments);
+    assert_eq!((code, stderr.as_str()), (0, ""), "{arguments:?}");
+    let value: Value = serde_json::from_str(&stdout).unwrap();
+    assert!(value.is_object());
+    value
+}
+
+#[test]
+fn json_is_one_object_on_stdout_and_stderr_stays_empty() {
+    let folder = folder_with(&scene(PLANE));
+    let path = folder.path();
+    let check = json(path, &["check", "scene.toml", "--json"]);
+    assert_eq!(check["mesh"]["triangles"], 2);
+    assert_eq!(check["scene"]["seed"], 7);
+    let render = json(
+        path,
+        &["--json", "render", "scene.toml", "--frame", "2", "-o", "r"],
+    );
+    assert_eq!(
+        (&render["frame"], &render["png"]),
+        (&2.into(), &"r/frame-000002.png".into())
+    );
+    assert!(path.join("r/frame-000002.exr").is_file());
+    let scan = json(path, &["scan", "scene.toml", "--json", "-o", "s"]);
+    assert!(
+        scan["deviation"]["points"].as_u64().unwrap() > 100,
+        "{scan}"
+    );
+    let file: Value =
+        serde_json::from_slice(&fs::read(path.join("s/summary.json")).unwrap()).unwrap();
+    assert_eq!(scan, file);
+    let schema = json(path, &["schema", "--json"]);
+    assert_eq!(schema["title"], "lasertrace scene");
+}
+
+/// Tests have no terminal on stderr, so a bar would show here.
+#[test]
+fn without_a_terminal_there_is_no_progress_and_the_text_names_the_files() {
+    let folder = folder_with(&scene(PLANE));
+    let (code, stdout, stderr) = run(folder.path(), &["scan", "scene.toml", "-o", "out"]);
+    assert_eq!((code, stderr.as_str()), (0, ""));
+    for name in ["out/report.html", "out/cloud.ply"] {
+        assert!(stdout.contains(name), "{stdout}");
+        assert!(folder.path().join(name).is_file());
+    }
+}
+
+#[test]
+fn another_seed_shows_in_manifest_and_noise_and_the_hash_stays_the_file_s() {
+    let folder = folder_with(&scene(PLANE));
+    let path = folder.path();
+    let manifest = |out: &str, more: &[&str]| -> (Value, Vec<u8>) {
+        let arguments = [&["scan", "scene.toml", "-o", out], more].concat();
+        assert_eq!(run(path, &arguments).0, 0);
+        let read = |name: &str| fs::read(path.join(out).join(name)).unwrap();
+        let manifest = serde_json::from_slice(&read("manifest.json")).unwrap();
+        (manifest, read("frames/frame-000000.png"))
+    };
+    let (own, frame) = manifest("a", &[]);
+    let (same, same_frame) = manifest("b", &["--seed", "7"]);
+    let (other, other_frame) = manifest("c", &["--seed", "18446744073709551615"]);
+    assert_eq!(
+        (&own["seed"], &same["seed"], &other["seed"]),
+        (&7.into(), &7.into(), &u64::MAX.into())
+    );
+    assert_eq!(own["scene_sha256"], other["scene_sha256"]);
+    assert!(frame == same_frame && frame != other_frame);
+}
+
+/// The symbolic link makes the file system refuse as a full disk does.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_temporary_and_leaves_no_half_file() {
+    let folder = folder_with(&scene(PLANE));
+    let path = folder.path();
+    for name in ["cloud.ply", "report.html", "manifest.json"] {
+        let out = path.join(name.replace('.', "-"));
+        fs::create_dir(&out).unwrap();
+        let part = out.join(format!("{name}.part"));
+        std::os::unix::fs::symlink("/dev/full", &part).unwrap();
+        let arguments = ["scan", "scene.toml", "-o", out.to_str().unwrap()];
+        assert_error(
+            path,
+            &arguments,
+            75,
+            &["cannot write", name, "No space left"],
+        );
+        for absent in [name, "manifest.json"] {
+            assert!(!out.join(absent).exists(), "{absent} after {name} failed");
+        }
+        assert!(part.symlink_metadata().is_err(), "{} left", part.display());
+    }
+    let full = fs::File::options().write(true).open("/dev/full").unwrap();
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_lasertrace"))
+        .arg("schema")
+        .stdout(full)
+        .stderr(std::process::Stdio::null())
+        .status();
+    assert_eq!(
+        status.unwrap().code(),
+        Some(75),
+        "a result that is lost is no success"
+    );
+}
+
+/// A disk of 64 KiB, unmounted at the end.
+#[cfg(target_os = "linux")]
+struct SmallDisk(TempDir);
+
+#[cfg(target_os = "linux")]
+impl SmallDisk {
+    fn mount() -> Option<SmallDisk> {
+        let folder = tempfile::tempdir().unwrap();
+        let output = std::process::Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=64k", "lasertrace-test"])
+            .arg(folder.path())
+            .output();
+        output
+            .is_ok_and(|o| o.status.success())
+            .then_some(SmallDisk(folder))
+    }
+}
+
+#[cfg(target_os = "linux")]
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = std::process::Command::new("umount")
+            .arg(self.0.path())
+            .status();
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_of_64_kib_fills_up_and_what_is_there_is_whole() {
+    let Some(disk) = SmallDisk::mount() else {
+        eprintln!("\n*** NOT TESTED: no tmpfs could be mounted, so no disk was filled. ***\n");
+        return;
+    };
+    let folder = folder_with(&scene(PLANE).replace("frames = 3", "frames = 60"));
+    let path = folder.path();
+    assert_eq!(run(path, &["scan", "scene.toml", "-o", "whole"]).0, 0);
+    let out = disk.0.path().join("out");
+    let arguments = ["scan", "scene.toml", "-o", out.to_str().unwrap()];
+    assert_error(path, &arguments, 75, &["cannot write", "No space left"]);
+    assert!(!out.join("manifest.json").exists());
+    for kind in ["profiles", "frames"] {
+        for entry in fs::read_dir(out.join(kind)).unwrap() {
+            let name = entry.unwrap().file_name();
+            let whole = fs::read(path.join("whole").join(kind).join(&name)).unwrap();
+            assert_eq!(
+                fs::read(out.join(kind).join(&name)).unwrap(),
+                whole,
+                "{name:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_schema_in_the_project_is_the_one_the_program_prints() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let kept = fs::read_to_string(root.join("scenes/scene.schema.json")).unwrap_or_default();
+    let (code, printed, _) = run(root, &["schema"]);
+    assert_eq!(code, 0);
+    assert!(
+        kept == printed,
+        "the scene format has changed: run\n  cargo run -- schema > scenes/scene.schema.json"
+    );
+}

@@ -1,0 +1,263 @@
+//! A scan that is killed, stopped or run on other threads: no file that looks
+//! whole is broken, and running again gives the bytes of an undisturbed run.
+
+#![cfg(unix)]
+
+mod program;
+
+use program::{PLANE, folder_with, scene};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+fn scan(folder: &Path, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lasertrace"));
+    command
+        .current_dir(folder)
+        .args(["scan", "scene.toml", "-o", "out", "--quiet"])
+        .args(more)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn many_frames(frames: u32) -> String {
+    let text = scene(PLANE);
+    text.replace("frames = 3", &format!("frames = {frames}"))
+        .replace("step_mm = 0.5", "step_mm = 0.01")
+}
+
+/// Every file below `folder`, by its path in it.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut left = vec![folder.to_owned()];
+    while let Some(next) = left.pop() {
+        let Ok(entries) = fs::read_dir(&next) else {
+            continue;
+        };
+        for entry in entries {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                left.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_str().unwrap();
+                found.insert(name.to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+/// The files of a complete run but for the manifest, which holds timings.
+fn results(out: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = files(out);
+    let manifest = found
+        .remove("manifest.json")
+        .expect("a complete run has a manifest");
+    let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
+    assert!(manifest["scene_sha256"].is_string());
+    found
+}
+
+/// Names of the files that differ or are in one only.
+fn differing(a: &BTreeMap<String, Vec<u8>>, b: &BTreeMap<String, Vec<u8>>) -> Vec<String> {
+    let names = a.keys().chain(b.keys());
+    names
+        .filter(|name| a.get(*name) != b.get(*name))
+        .cloned()
+        .collect()
+}
+
+/// Whether a file's own format says it is all there.
+fn is_whole(name: &str, bytes: &[u8]) -> bool {
+    let text = || String::from_utf8_lossy(bytes);
+    match name.rsplit('.').next().unwrap() {
+        "json" => serde_json::from_slice::<serde_json::Value>(bytes).is_ok(),
+        "png" => image::load_from_memory(bytes).is_ok(),
+        "html" => text().trim_end().ends_with("</html>"),
+        "csv" => text().ends_with('\n') && text().lines().all(|line| line.split(',').count() == 7),
+        "ply" => {
+            let text = text();
+            let vertices = text.split("element vertex ").nth(1).unwrap();
+            let vertices: usize = vertices.lines().next().unwrap().parse().unwrap();
+            let header = bytes
+                .windows(11)
+                .position(|w| w == b"end_header\n")
+                .unwrap()
+                + 11;
+            // Three doubles, two floats, two integers.
+            bytes.len() - header == vertices * 40
+        }
+        other => panic!("{name}: what is a whole .{other} file?"),
+    }
+}
+
+/// Kills a run after `delay` and says how many files it had written.
+fn kill_after(delay: Duration, folder: &Path) -> usize {
+    let mut child = scan(folder, &[]).spawn().unwrap();
+    sleep(delay);
+    // SIGKILL. An error says that the run was over.
+    let _ = child.kill();
+    child.wait().unwrap();
+    files(&folder.join("out")).len()
+}
+
+/// The moments are shares of the time an undisturbed run takes, so that they fall
+/// into the run on any machine; which they were, the failure says.
+#[test]
+fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes() {
+    let text = many_frames(400);
+    let undisturbed = folder_with(&text);
+    let start = Instant::now();
+    assert!(scan(undisturbed.path(), &[]).status().unwrap().success());
+    let whole_run = start.elapsed();
+    let expected = results(&undisturbed.path().join("out"));
+    assert_eq!(
+        expected.len(),
+        2 * 400 + 5,
+        "frames, profiles, cloud, summary, report, 2 pictures"
+    );
+    for (name, bytes) in &expected {
+        assert!(is_whole(name, bytes), "{name}");
+    }
+
+    let folder = folder_with(&text);
+    let out = folder.path().join("out");
+    let mut state = 20_240_607u64;
+    let mut counts = Vec::new();
+    for kill in 0..12 {
+        // Knuth's MMIX generator; one kill in each twelfth of the run.
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let share = (kill as f64 + (state >> 11) as f64 / 2f64.powi(53)) / 12.0;
+        counts.push(kill_after(whole_run.mul_f64(share), folder.path()));
+        let mut left = files(&out);
+        let complete = left.remove("manifest.json").is_some();
+        left.retain(|name, _| !name.ends_with(".part"));
+        for (name, bytes) in &left {
+            assert!(
+                expected.get(name) == Some(bytes),
+                "after {share:.3} of the run {name} is broken"
+            );
+        }
+        assert!(
+            !complete || left.len() == expected.len(),
+            "{share:.3}: a manifest, but not all files"
+        );
+    }
+    let in_the_midst = counts
+        .iter()
+        .filter(|&&n| n > 0 && n < expected.len())
+        .count();
+    assert!(
+        in_the_midst >= 8,
+        "only {in_the_midst} kills fell into the run: {counts:?}"
+    );
+
+    assert!(scan(folder.path(), &[]).status().unwrap().success());
+    assert_eq!(
+        differing(&results(&out), &expected),
+        [""; 0],
+        "after a run to the end"
+    );
+}
+
+fn signal(child: &Child, name: &str) {
+    let id = child.id().to_string();
+    assert!(
+        Command::new("kill")
+            .args([name, &id])
+            .status()
+            .unwrap()
+            .success()
+    );
+}
+
+/// Starts a run far too long to end, waits for its first profile, sends the signal
+/// and waits for the end, a minute at most.
+fn interrupt(folder: &Path, name: &str) -> Output {
+    let mut child = scan(folder, &[]).spawn().unwrap();
+    let start = Instant::now();
+    while !folder.join("out/profiles/profile-000000.csv").exists() {
+        assert!(
+            start.elapsed() < Duration::from_secs(60),
+            "no profile after a minute"
+        );
+        sleep(Duration::from_millis(5));
+    }
+    signal(&child, name);
+    while child.try_wait().unwrap().is_none() {
+        if start.elapsed() > Duration::from_secs(60) {
+            let _ = child.kill();
+            panic!("{name} did not stop the run");
+        }
+        sleep(Duration::from_millis(5));
+    }
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+fn interrupted_or_terminated_it_says_to_run_again() {
+    for name in ["-INT", "-TERM"] {
+        let folder = folder_with(&many_frames(1_000_000));
+        let output = interrupt(folder.path(), name);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(75), "{name}: {stderr}");
+        assert!(
+            stderr.contains("run the same command again"),
+            "{name}: {stderr}"
+        );
+        let left = files(&folder.path().join("out"));
+        assert!(
+            left.keys().all(|name| !name.ends_with(".part")),
+            "a stop is orderly"
+        );
+        assert!(!left.contains_key("manifest.json"));
+        assert!(left.iter().all(|(name, bytes)| is_whole(name, bytes)));
+    }
+}
+
+#[test]
+fn one_thread_and_four_write_the_same_bytes() {
+    // Speckle and noise too must not depend on who computes them.
+    let text = many_frames(12).replace("speckle = false", "speckle = true");
+    let run = |threads: &str| {
+        let folder = folder_with(&text);
+        assert!(
+            scan(folder.path(), &["--threads", threads])
+                .status()
+                .unwrap()
+                .success()
+        );
+        results(&folder.path().join("out"))
+    };
+    let one = run("1");
+    assert!(one.len() > 24);
+    for threads in ["2", "4"] {
+        assert_eq!(
+            differing(&run(threads), &one),
+            [""; 0],
+            "{threads} threads against one"
+        );
+    }
+}
+
+#[test]
+fn a_shorter_scan_leaves_nothing_of_a_longer_one_behind() {
+    let folder = folder_with(&many_frames(9));
+    assert!(scan(folder.path(), &[]).status().unwrap().success());
+    let shorter = many_frames(4).replace("write_frames = true", "write_frames = false");
+    fs::write(folder.path().join("scene.toml"), &shorter).unwrap();
+    assert!(scan(folder.path(), &[]).status().unwrap().success());
+    let fresh = folder_with(&shorter);
+    assert!(scan(fresh.path(), &[]).status().unwrap().success());
+    let results = |folder: &Path| results(&folder.join("out"));
+    assert_eq!(
+        differing(&results(folder.path()), &results(fresh.path())),
+        [""; 0]
+    );
+}

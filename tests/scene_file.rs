@@ -1,0 +1,281 @@
+//! The scene file from outside: what is refused, in which words, and that what is
+//! accepted does no harm.
+
+mod program;
+
+use program::{PLANE, assert_error, folder_with, run, scene};
+use std::fs;
+use std::path::Path;
+
+/// `check`s a scene and asserts exit code 65 and the words.
+#[track_caller]
+fn assert_refused(text: &str, words: &[&str]) {
+    let folder = folder_with(text);
+    assert_error(folder.path(), &["check", "scene.toml"], 65, words);
+}
+
+/// What is changed in the scene, into what, and what the message then holds.
+const MISTAKES: &[(&str, &str, &str)] = &[
+    ("seed = 7", "seed = 7 8", ":1: found text that is not TOML"),
+    (
+        "seed = 7",
+        "seed = 7\nseed = 8",
+        ":2: found text that is not TOML (duplicate key)",
+    ),
+    (
+        "seed = 7",
+        "seed = -7",
+        ":1: seed: found integer `-7`, expected a whole number, not negative",
+    ),
+    (
+        "speckle = false\n",
+        "",
+        "scene.toml: speckle: found no such key, expected it to be given",
+    ),
+    (
+        "speckle = false",
+        "speckle = 0",
+        ":2: speckle: found integer `0`, expected a boolean",
+    ),
+    (
+        "reflectance",
+        "color",
+        ":7: part.color: found unknown key `color`, expected one of `mesh`",
+    ),
+    (
+        PLANE,
+        "plane = 7",
+        ":6: part.plane: found integer `7`, expected a table",
+    ),
+    (
+        PLANE,
+        "",
+        ":5: part: found [part], expected exactly one of mesh, plane, sphere",
+    ),
+    (
+        PLANE,
+        "mesh = { file = \"no.stl\", unit = \"mm\" }",
+        ":6: part.mesh.file: found \"no.stl\", expected a mesh file",
+    ),
+    (
+        PLANE,
+        "mesh = { file = \"\", unit = \"mm\" }",
+        ":6: part.mesh.file: found \"\", expected a mesh file",
+    ),
+    (
+        PLANE,
+        "mesh = { file = \"a\", unit = \"furlong\" }",
+        ":6: part.mesh.unit: found unknown variant `furlong`, expected one of",
+    ),
+    (
+        PLANE,
+        "mesh = { file = \"scene.toml\", unit = \"mm\" }",
+        "scene.toml: found ",
+    ),
+    (
+        PLANE,
+        "mesh = { file = \"/\", unit = \"mm\" }",
+        "/: found something that is not a regular file",
+    ),
+    (
+        "[laser]",
+        "[lasr]",
+        ":11: lasr: found unknown key `lasr`, expected one of `seed`",
+    ),
+    (
+        "power_mw = 10",
+        "power_mw = \"ten\"",
+        ":13: laser.power_mw: found string \"ten\", expected a number",
+    ),
+    (
+        "m_squared = 1.1",
+        "m_squared = 0.9",
+        ":16: laser.m_squared: found 0.9, expected a finite number >= 1",
+    ),
+    (
+        "fan_deg = 12, ",
+        "",
+        ":19: laser.line.fan_deg: found no such key, expected it to be given",
+    ),
+    (
+        "\"uniform\"",
+        "\"flat\"",
+        ":19: laser.line.profile: found unknown variant `flat`, expected `uniform` or",
+    ),
+    (
+        "exposure_ms = 0.05\n",
+        "",
+        ":21: camera.exposure_ms: found no such key, expected it to be given",
+    ),
+    (
+        "[64, 48]",
+        "[64.5, 48]",
+        ":25: camera.resolution_px: found floating point `64.5`, expected a whole number",
+    ),
+    (
+        "[64, 48]",
+        "[64]",
+        ":25: camera.resolution_px: found length 1, expected an array of length 2",
+    ),
+    (
+        "[64, 48]",
+        "[64, 48, 3]",
+        ":25: camera.resolution_px: found length 3, expected an array of length 2",
+    ),
+    (
+        "tilt_deg = [0, 0]",
+        "tilt_deg = 0",
+        ":30: camera.tilt_deg: found integer `0`, expected an array",
+    ),
+    (
+        "tilt_deg = [0, 0]",
+        "tilt_deg = [0, 81]",
+        ":30: camera.tilt_deg: found [0, 81], expected angles from -80 to 80",
+    ),
+    (
+        "bit_depth = 10",
+        "bit_depth = 7",
+        ":34: camera.bit_depth: found 7, expected from 8 to 16",
+    ),
+    (
+        "frames = 3",
+        "frames = 0",
+        ":40: scan.frames: found 0, expected at least 1",
+    ),
+];
+
+#[test]
+fn a_wrong_scene_is_refused_with_file_line_key_found_and_expected() {
+    for (from, to, message) in MISTAKES {
+        let text = scene(PLANE);
+        assert!(text.contains(from), "{from}");
+        assert_refused(&text.replacen(from, to, 1), &[message, "expected"]);
+    }
+    assert_refused("{ \"seed\": 1 }", &["scene.toml:1", "not TOML"]);
+    assert_refused("", &["scene.toml: seed: found no such key"]);
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("scene.toml"), b"seed = \xff").unwrap();
+    assert_error(
+        folder.path(),
+        &["check", "scene.toml"],
+        65,
+        &["byte 7", "UTF-8"],
+    );
+}
+
+/// Each number of the scene file, with the dotted key it belongs to.
+fn numbers(text: &str) -> Vec<(String, std::ops::Range<usize>)> {
+    let mut found = Vec::new();
+    let mut table = String::new();
+    let mut start = 0;
+    for line in text.split_inclusive('\n') {
+        if let Some(name) = line.trim_end().strip_prefix('[') {
+            table = format!("{}.", name.trim_end_matches(']'));
+        } else if let Some((name, value)) = line.split_once(" = ") {
+            let mut key = format!("{table}{name}");
+            let mut at = start + line.len() - value.len();
+            for piece in value.split_inclusive([' ', ',', '[', ']', '{', '}', '\n']) {
+                let word = piece.trim_end_matches([' ', ',', '[', ']', '{', '}', '\n']);
+                if word.parse::<f64>().is_ok() {
+                    found.push((key.clone(), at..at + word.len()));
+                } else if word.starts_with(char::is_alphabetic) && value.starts_with('{') {
+                    key = format!("{table}{name}.{word}");
+                }
+                at += piece.len();
+            }
+        }
+        start += line.len();
+    }
+    found
+}
+
+const PARTS: [&str; 4] = [
+    PLANE,
+    "sphere = { radius_mm = 5, chord_um = 20 }",
+    "cylinder = { radius_mm = 5, length_mm = 12, chord_um = 20 }",
+    "step_block = { size_mm = [16, 16, 6], step_mm = 2 }",
+];
+
+/// Keys whose error stands at the shape, because its numbers belong together.
+fn named_as(key: &str) -> &str {
+    ["part.sphere", "part.cylinder", "part.step_block"]
+        .into_iter()
+        .find(|shape| key.starts_with(shape))
+        .unwrap_or(key)
+}
+
+#[test]
+fn every_number_refuses_what_is_not_a_sensible_number() {
+    let mut keys = 0;
+    for (i, part) in PARTS.into_iter().enumerate() {
+        let text = scene(part);
+        for (key, at) in numbers(&text) {
+            // The keys that all shapes share are tried once.
+            if i > 0 && named_as(&key) == key {
+                continue;
+            }
+            keys += 1;
+            for value in ["nan", "inf", "-inf", "-1e300", "\"7\"", "true"] {
+                let mut text = text.clone();
+                text.replace_range(at.clone(), value);
+                assert_refused(
+                    &text,
+                    &["scene.toml:", &format!(": {}", named_as(&key)), "expected"],
+                );
+            }
+        }
+    }
+    // seed 1, part 7, laser 15, camera 24, scan 8; shapes 2 + 2 + 3 + 4. A number
+    // that `numbers` overlooked would go untested.
+    assert_eq!(keys, 66);
+}
+
+/// Numbers as large or small as they come: refused or taken, but no panic, no
+/// endless work.
+#[test]
+fn extreme_numbers_do_no_harm() {
+    for part in PARTS {
+        let text = scene(part);
+        for (_, at) in numbers(&text) {
+            if part != PLANE && at.start > text.find("[laser]").unwrap() {
+                continue;
+            }
+            for value in ["1e300", "1e-300", "0", "-1", "1e12", "4294967295"] {
+                let mut text = text.clone();
+                text.replace_range(at.clone(), value);
+                let folder = folder_with(&text);
+                let (code, _, stderr) = run(folder.path(), &["check", "scene.toml", "--quiet"]);
+                assert!(
+                    [0, 65].contains(&code),
+                    "exit code {code}\n{stderr}\n{text}"
+                );
+            }
+        }
+    }
+}
+
+/// Every file named `scene.toml` below `folder`.
+fn scenes(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            scenes(&path, found);
+        } else if path.ends_with("scene.toml") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn every_scene_of_the_project_loads() {
+    let mut found = Vec::new();
+    scenes(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes"),
+        &mut found,
+    );
+    assert!(!found.is_empty());
+    for path in found {
+        let scene = lasertrace::scene::Scene::load(&path);
+        assert!(scene.is_ok(), "{}", scene.err().unwrap());
+    }
+}
