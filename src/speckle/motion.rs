@@ -20,8 +20,10 @@
 //! camera move by a, s, c and the part turns by Ω about x. L_f is the distance the
 //! lens is focused on; in focus a_I is m·b.
 //!
-//! Valid for motions small against L_s, L_o and the radius of the wavefront, and
-//! for angles |Ω| ≪ 1.
+//! Valid for motions small against L_s, L_o and the radius of the wavefront, for
+//! angles |Ω| ≪ 1, and for a lit area of many grains λL_o/D. A motion along the
+//! viewing ray also defocuses ([`defocus_phase`]); γ(δ) alone is right while that is
+//! much less than the longitudinal grain 8λ(L_o/D)².
 
 use crate::math::{DMat3, DVec2, DVec3};
 

@@ -62,6 +62,14 @@ pub struct CentroidRow {
 /// by bootstrap over the realisations, so that correlated rows of one surface do
 /// not count as independent.
 ///
+/// Found with 100 surfaces a width: over all rows the law with the laser's σ holds
+/// within 3 % for w ≥ 0.8·h, is 6 to 9 % low at w = 0.3 … 0.5·h and 18 % high at
+/// 0.1·h. Rows with at least half the mean light, which a detector keeps, are less
+/// noisy: 6 % below the law at 1.25·h, 29 % at 0.3·h, 57 % at 0.1·h, where noise
+/// falls as w. The law with the width of the line's image, which is what
+/// multiplying a blurred line by a texture gives, is 3 % high at 2·h, 18 % at 0.8·h and 62 % at
+/// 0.3·h. The noise of lines thinner than 1.2·h lies below the limit h/π of a spot.
+///
 /// # Errors
 /// As [`pupil_field`].
 pub fn line_centroid_noise(setup: &LineSetup) -> Result<Vec<CentroidRow>> {

@@ -63,6 +63,17 @@ pub struct MotionRow {
 /// before and half after the view, at which the formula is evaluated. Every case
 /// has its own surfaces, so the rows are independent.
 ///
+/// What 24 surfaces a row gave for [`reference_cases`](super::wave_cases::reference_cases): all γ
+/// within 0.02 of `gamma_defocused` with intervals of ±0.01 (the overlap law alone
+/// is 0.2 too high for 1.5 mm along the viewing ray), displacements within 0.3 µm of
+/// the tensor formula, a seventieth of a grain, where γ > 0.5. Systematic errors of
+/// the simulation: γ is 0.002 … 0.005 high for the pupil's staircase, 0.003 for
+/// scatterers and pixels; with 96 surfaces 0.007 ± 0.003 at γ = 0.58 and
+/// 0.017 ± 0.004 at γ = 0.21.
+///
+/// A lit spot of a few grains only decorrelates less than any of this: the pupil
+/// field's own speckles are then not small against the shift.
+///
 /// # Errors
 /// As [`pupil_field`]; at a view without direction (the point is the pupil's
 /// centre) [`Error::Usage`].

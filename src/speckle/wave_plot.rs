@@ -98,33 +98,19 @@ impl Panel {
 }
 
 /// Correlation and displacement of [`MotionRow`]s, one drawing: left, γ over δ by
-/// waves with 95 % intervals, the overlap law as a curve and a diamond where a
-/// motion's defocus lowers it; right, measured minus predicted displacement of each
-/// row (µm on the sensor); below, the names of the numbered rows.
+/// waves with 95 % intervals, the overlap law as a curve, and a diamond where the
+/// prediction with defocus lies; middle and right, measured minus predicted γ and
+/// displacement (µm on the sensor) of each row; below, the names of the rows.
 pub fn motion_plot(rows: &[MotionRow]) -> String {
     let deltas = rows.iter().map(|r| r.delta);
     let correlation = Panel {
-        frame: [70.0, 50.0, 420.0, 360.0],
+        frame: [70.0, 50.0, 300.0, 360.0],
         x: (0.0, (deltas.fold(0.4, f64::max) * 1.1).min(1.1)),
         y: (0.0, 1.0),
     };
-    let residuals: Vec<(f64, [Estimate; 2])> = rows
-        .iter()
-        .enumerate()
-        .filter_map(|(k, row)| Some(((k + 1) as f64, residual_um(row)?)))
-        .collect();
-    let bounds = residuals.iter().flat_map(|(_, r)| r);
-    let reach = bounds.fold(0.5, |m: f64, e| m.max(-e.low).max(e.high)) * 1.1;
-    let displacement = Panel {
-        frame: [580.0, 50.0, 420.0, 360.0],
-        x: (0.0, rows.len() as f64 + 1.0),
-        y: (-reach, reach),
-    };
     let names_top = 490.0;
-    let mut svg = opened(
-        1030.0,
-        names_top + 20.0 * rows.len().div_ceil(2) as f64 + 20.0,
-    );
+    let half = rows.len().div_ceil(2);
+    let mut svg = opened(1180.0, names_top + 20.0 * half as f64 + 20.0);
     let titles = [
         "Correlation of the speckle intensity",
         "δ = |A_p|/D, shift across the pupil in diameters",
@@ -132,52 +118,87 @@ pub fn motion_plot(rows: &[MotionRow]) -> String {
     ];
     correlation.axes(&mut svg, [0.1, 0.1], titles);
     correlation.curve(&mut svg, "", overlap_correlation);
-    for (k, row) in rows.iter().enumerate() {
-        let px = correlation.px(row.delta);
-        diamond(&mut svg, [px, correlation.py(row.gamma_defocused)]);
-        correlation.estimate(&mut svg, row.delta, &row.waves.gamma, WAVES);
-        let beside = [px + 6.0, correlation.py(row.waves.gamma.value) - 5.0];
-        text(&mut svg, beside, "start", &(k + 1).to_string());
+    for row in rows {
+        let (x, y) = (row.delta, row.gamma_defocused);
+        diamond(&mut svg, [correlation.px(x), correlation.py(y)]);
+        correlation.estimate(&mut svg, x, &row.waves.gamma, WAVES);
     }
-    correlation_legend(&mut svg, [250.0, 70.0]);
+    correlation_legend(&mut svg, [180.0, 70.0]);
+
+    let gamma = |row: &MotionRow| Some([minus(&row.waves.gamma, row.gamma_defocused)]);
+    let titles = ["Correlation: waves minus prediction", "row", "γ"];
+    residual_panel(&mut svg, 460.0, titles, rows, gamma);
     let titles = [
         "Displacement: waves minus tensor formula",
-        "row of the table",
+        "row",
         "µm on the sensor",
     ];
-    displacement.axes(&mut svg, [1.0, nice_step(2.0 * reach)], titles);
-    line(
-        &mut svg,
-        [580.0, displacement.py(0.0), 1000.0, displacement.py(0.0)],
-        THEORY,
-        "",
-    );
-    for (k, [x, y]) in &residuals {
-        displacement.estimate(&mut svg, k - 0.12, x, WAVES);
-        displacement.estimate(&mut svg, k + 0.12, y, WAVES_OTHER);
-    }
+    residual_panel(&mut svg, 850.0, titles, rows, |row| {
+        let found = row.waves.displacement?;
+        let axis = |k: usize| minus(&found[k].scaled(1e3), row.displacement_um[k]);
+        Some([axis(0), axis(1)])
+    });
     for (k, (colour, name)) in [(WAVES, "along x"), (WAVES_OTHER, "along y")]
         .iter()
         .enumerate()
     {
         let y = 70.0 + 18.0 * k as f64;
-        dot(&mut svg, [600.0, y - 4.0], colour);
-        text(&mut svg, [610.0, y], "start", name);
+        dot(&mut svg, [1070.0, y - 4.0], colour);
+        text(&mut svg, [1080.0, y], "start", name);
     }
     for (k, row) in rows.iter().enumerate() {
-        let half = rows.len().div_ceil(2);
         let place = [
-            70.0 + 510.0 * (k / half) as f64,
+            70.0 + 550.0 * (k / half) as f64,
             names_top + 20.0 * (k % half) as f64,
         ];
         text(
             &mut svg,
             place,
             "start",
-            &format!("{}  {}", k + 1, row.name),
+            &format!("{}: {}", k + 1, row.name),
         );
     }
     svg + "</svg>\n"
+}
+
+fn minus(e: &Estimate, value: f64) -> Estimate {
+    Estimate {
+        value: e.value - value,
+        low: e.low - value,
+        high: e.high - value,
+    }
+}
+
+/// What `residuals` gives for each row, over the row's number.
+fn residual_panel<const N: usize>(
+    svg: &mut String,
+    left: f64,
+    titles: [&str; 3],
+    rows: &[MotionRow],
+    residuals: impl Fn(&MotionRow) -> Option<[Estimate; N]>,
+) {
+    let found: Vec<(f64, [Estimate; N])> = rows
+        .iter()
+        .enumerate()
+        .filter_map(|(k, row)| Some(((k + 1) as f64, residuals(row)?)))
+        .collect();
+    let bounds = found.iter().flat_map(|(_, r)| r);
+    let reach = bounds.fold(0.01, |m: f64, e| m.max(-e.low).max(e.high)) * 1.1;
+    let panel = Panel {
+        frame: [left, 50.0, 300.0, 360.0],
+        x: (0.0, rows.len() as f64 + 1.0),
+        y: (-reach, reach),
+    };
+    let row_step = nice_step(panel.x.1).max(1.0);
+    panel.axes(svg, [row_step, nice_step(2.0 * reach)], titles);
+    let zero = panel.py(0.0);
+    line(svg, [left, zero, left + 300.0, zero], THEORY, "");
+    for (k, estimates) in &found {
+        for (side, e) in estimates.iter().enumerate() {
+            let beside = 0.3 * (side as f64 - (N - 1) as f64 / 2.0);
+            panel.estimate(svg, k + beside, e, [WAVES, WAVES_OTHER][side]);
+        }
+    }
 }
 
 fn correlation_legend(svg: &mut String, [x, y]: [f64; 2]) {
@@ -192,20 +213,6 @@ fn correlation_legend(svg: &mut String, [x, y]: [f64; 2]) {
     );
     dot(svg, [x + 8.0, y + 32.0], WAVES);
     text(svg, [x + 24.0, y + 36.0], "start", "waves, 95 % interval");
-}
-
-/// Measured minus predicted displacement in µm.
-fn residual_um(row: &MotionRow) -> Option<[Estimate; 2]> {
-    let found = row.waves.displacement?;
-    Some([0, 1].map(|axis| {
-        let e = found[axis].scaled(1e3);
-        let predicted = row.displacement_um[axis];
-        Estimate {
-            value: e.value - predicted,
-            low: e.low - predicted,
-            high: e.high - predicted,
-        }
-    }))
 }
 
 /// Centroid noise over line width, both in grains: waves with 95 % intervals over

@@ -2,6 +2,7 @@ use super::*;
 use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
 use crate::speckle::motion::Source;
+use crate::speckle::wave_correlation::correlate_pairs;
 use crate::speckle::wave_patch::{Patch, lit, patch_filling_view};
 
 const WAVELENGTH: f64 = 660e-6;
@@ -316,6 +317,41 @@ fn speckle_is_fully_developed_and_its_grains_have_the_size_of_the_law() {
         assert!(
             (found - law).abs() < 3.0 * error + 0.0125,
             "{lag}: {found}, {law}"
+        );
+    }
+}
+
+/// The 3D pattern from one pupil field: two focus distances Δ apart correlate as
+/// (sin(φ/2)/(φ/2))², φ = k·D²·Δ/(8L²), and not at all a longitudinal grain
+/// 8λ(L/D)² apart. Limits: 1.5 times the 95 % interval, and 0.01 for the staircase
+/// of 20 pupil samples across.
+#[test]
+fn a_focus_stack_of_one_field_is_the_3d_pattern() {
+    let g = grid(160, 8.0);
+    let fields: Vec<PupilField> = (100..148)
+        .map(|seed| {
+            let scatterers = rough_scatterers(&rough_patch(20.0, 8.0), seed);
+            pupil_field(&scatterers, &pupil(), WAVELENGTH, &g).unwrap()
+        })
+        .collect();
+    let long_grain = 8.0 * WAVELENGTH * (DISTANCE / DIAMETER).powi(2);
+    for share in [0.25, 0.5, 1.0] {
+        let pairs: Vec<[WaveImage; 2]> = fields
+            .iter()
+            .map(|field| {
+                [-0.5, 0.5].map(|side| {
+                    let at = refocused(&g, DISTANCE + side * share * long_grain);
+                    intensity_at_focus(field, &at)
+                })
+            })
+            .collect();
+        let found = correlate_pairs(&pairs, DVec2::ZERO, 144, 1).gamma;
+        let law = ((PI * share).sin() / (PI * share)).powi(2);
+        println!("{share} of a longitudinal grain: {found:?}, law {law}");
+        let half = 0.75 * (found.high - found.low) + 0.01;
+        assert!(
+            (found.value - law).abs() < half && half < 0.1,
+            "{found:?} {law}"
         );
     }
 }

@@ -39,9 +39,9 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
     let moved = Some([estimate(0.01), estimate(0.0)]);
     let svg = motion_plot(&[row("tilt <1°> & shift", moved), row("lost", None)]);
     assert_drawn(&svg);
-    assert!(svg.contains("1  tilt &lt;1°> &amp; shift") && svg.contains("2  lost"));
-    // Two of γ, two of the one displacement, three of the legends.
-    assert_eq!(svg.matches("<circle").count(), 7);
+    assert!(svg.contains("1: tilt &lt;1°> &amp; shift") && svg.contains("2: lost"));
+    // Two of γ, twice, two of the one displacement, three of the legends.
+    assert_eq!(svg.matches("<circle").count(), 9);
     assert_drawn(&motion_plot(&[]));
 }
 
