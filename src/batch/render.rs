@@ -1,6 +1,6 @@
 //! One frame with its truth, for looking at and for learning from.
 
-use super::{Control, Simulation, files};
+use super::{Control, Coverage, files};
 use crate::error::{Error, Result};
 use crate::inspect::picture::encode_counts;
 use crate::integrator::truth_layers;
@@ -21,7 +21,13 @@ pub struct RenderSummary {
 
 /// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
 /// the truth layers) to `out`.
-pub fn render(scene: &Scene, frame: u32, out: &Path, control: &Control) -> Result<RenderSummary> {
+pub fn render(
+    scene: &Scene,
+    frame: u32,
+    coverage: Coverage,
+    out: &Path,
+    control: &Control,
+) -> Result<RenderSummary> {
     if frame >= scene.scan.frames {
         return Err(Error::Usage(format!(
             "--frame {frame}: the scan of {} has frames 0 to {}",
@@ -30,7 +36,7 @@ pub fn render(scene: &Scene, frame: u32, out: &Path, control: &Control) -> Resul
         )));
     }
     files::create_folder(out)?;
-    let simulation = Simulation::new(scene)?;
+    let simulation = coverage.simulation(scene)?;
     control.check()?;
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);
