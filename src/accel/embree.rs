@@ -2,7 +2,7 @@
 //! they are narrowed to f32, and ray origins are advanced in f64 to the mesh's
 //! bounding box, so that neither a far-off part nor a long standoff costs digits.
 
-use super::refine::{nearest_on_triangle, refine};
+use super::refine::{Tolerance, nearest_on_triangle, refine};
 use super::{Hit, Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3};
@@ -253,20 +253,24 @@ impl<'m> Accel<'m> {
         (valid, packet, advanced)
     }
 
-    /// Greatest difference between the distance Embree finds and the one that is
-    /// taken after refinement, mm.
-    pub fn refinement(&self) -> f64 {
-        self.bounds.size().length() * 1e-3
+    /// No hit's point is further than this from its triangle, mm. f32 may pass a
+    /// ray some 60 roundings (2⁻¹⁸ of the half size) beside a triangle, and on a
+    /// plane seen at an angle θ from edge-on that is 1/sin θ times as far: down to
+    /// 1° nothing is lost, and below only what lies beside an edge.
+    pub fn overshoot(&self) -> f64 {
+        self.resolution() * 256.0
     }
 
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
-    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
-    /// distance; else as if nothing were hit.
-    pub fn closest(
-        &self,
-        rays: &[Ray],
-        wanted: impl Fn(usize, f64) -> bool,
-    ) -> [Option<Hit>; WIDTH] {
+    fn tolerance(&self) -> Tolerance {
+        Tolerance {
+            along: self.bounds.size().length() * 1e-3,
+            beside: self.overshoot(),
+        }
+    }
+
+    /// Nearest hit of each of up to 16 coherent rays, refined in f64.
+    pub fn closest(&self, rays: &[Ray]) -> [Option<Hit>; WIDTH] {
+        let tolerance = self.tolerance();
         let (valid, ray, advanced) = self.pack(rays);
         let mut packet = ffi::RTCRayHit16 {
             ray,
@@ -283,12 +287,9 @@ impl<'m> Accel<'m> {
                 return None;
             }
             let t = advanced[i] + packet.ray.tfar[i] as f64;
-            if !wanted(i, t) {
-                return None;
-            }
             let triangle = packet.hit.primID[i];
             let corners = self.mesh.triangle(triangle as usize);
-            refine(&rays[i], triangle, corners, t, self.refinement())
+            refine(&rays[i], triangle, corners, t, tolerance)
         })
     }
 

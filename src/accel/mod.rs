@@ -3,11 +3,13 @@
 //! Everything here is in the part's own frame (mm).
 
 pub mod brute;
+mod clusters;
 pub mod embree;
 mod refine;
 
+pub use clusters::{Clusters, Found, HalfSpace};
 pub use embree::Accel;
-pub use refine::{facing_normal, refine};
+pub use refine::{Tolerance, facing_normal, refine};
 
 use crate::math::DVec3;
 

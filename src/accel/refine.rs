@@ -15,32 +15,50 @@ pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
     })
 }
 
+/// How far f64 lets f32 be off, mm.
+#[derive(Debug, Clone, Copy)]
+pub struct Tolerance {
+    /// Along the ray. Beyond it the triangle is seen so nearly edge-on that its
+    /// plane says nothing about the distance, and the f32 distance stands.
+    pub along: f64,
+    /// From the triangle. Beyond it there is no hit: robust mode can report one
+    /// far from a sliver that the ray passes (RenderKit/embree#387).
+    pub beside: f64,
+}
+
 /// The hit of `ray` on the plane of `corners`, the triangle that f32
 /// intersection reported at `t_f32`. The plane is intersected rather than the
 /// triangle because next to an edge f32 and f64 may disagree on which of two
-/// neighbours is met, and there the planes meet too. Seen so nearly edge-on that
-/// the plane says nothing about `t` (the two differ by more than `tolerance`,
-/// mm), the f32 distance stands. `None` for a triangle without area.
+/// neighbours is met, and there the planes meet too. `None` for a triangle
+/// without area, and for a hit beside it.
 pub fn refine(
     ray: &Ray,
     triangle: u32,
     corners: [DVec3; 3],
     t_f32: f64,
-    tolerance: f64,
+    tolerance: Tolerance,
 ) -> Option<Hit> {
     let normal = facing_normal(corners, ray.direction)?;
     let t_plane = normal.dot(corners[0] - ray.origin) / normal.dot(ray.direction);
-    let t = if (t_plane - t_f32).abs() <= tolerance {
-        t_plane
-    } else {
-        t_f32
-    };
-    Some(Hit {
+    let on_plane = (t_plane - t_f32).abs() <= tolerance.along;
+    let t = if on_plane { t_plane } else { t_f32 };
+    let point = ray.origin + ray.direction * t;
+    let on_triangle = on_plane && within_edges(corners, normal, point)
+        || nearest_on_triangle(corners, point).distance(point) <= tolerance.beside;
+    on_triangle.then_some(Hit {
         t,
         triangle,
-        point: ray.origin + ray.direction * t,
+        point,
         normal,
     })
+}
+
+/// Whether a point of a triangle's plane lies in the triangle.
+fn within_edges([a, b, c]: [DVec3; 3], normal: DVec3, p: DVec3) -> bool {
+    let (pa, pb, pc) = (a - p, b - p, c - p);
+    let sides = [pa.cross(pb), pb.cross(pc), pc.cross(pa)].map(|n| n.dot(normal));
+    // The normal faces the ray, whichever way the corners run.
+    sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0)
 }
 
 /// The point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision
@@ -137,8 +155,30 @@ mod tests {
             direction: DVec3::X,
             t_max: 10.0,
         };
-        let hit = refine(&ray, 4, T, 1.5, 1e-3).unwrap();
+        let hit = refine(&ray, 4, T, 1.5, TOLERANCE).unwrap();
         assert_eq!((hit.t, hit.triangle), (1.5, 4));
         assert!(hit.point.is_finite() && hit.normal.is_finite());
+    }
+
+    const TOLERANCE: Tolerance = Tolerance {
+        along: 1e-3,
+        beside: 1e-4,
+    };
+
+    /// A ray down x = 1 meets the plane 2z = y; the corner at y = 2 is cut by the
+    /// edge x/3 + y/2 = 1, which it passes at y = 4/3.
+    #[test]
+    fn a_hit_beside_its_triangle_is_none_but_one_next_to_its_edge_stands() {
+        for winding in [T, [T[0], T[2], T[1]]] {
+            for (y, stands) in [(0.5, true), (1.3334, true), (1.34, false), (-1e-3, false)] {
+                let ray = Ray {
+                    origin: DVec3::new(1.0, y, 5.0),
+                    direction: -DVec3::Z,
+                    t_max: 10.0,
+                };
+                let hit = refine(&ray, 0, winding, 5.0 - y / 2.0 + 1e-6, TOLERANCE);
+                assert_eq!(hit.is_some(), stands, "{y}");
+            }
+        }
     }
 }

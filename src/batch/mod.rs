@@ -15,6 +15,25 @@ use crate::error::{Error, Result};
 use crate::scene::Scene;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+/// Which samples of a frame are traced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Coverage {
+    /// Those that may see lit surface.
+    Footprint,
+    /// All, to the same bytes: the check of the footprint.
+    Exhaustive,
+}
+
+impl Coverage {
+    fn simulation(self, scene: &Scene) -> Result<Simulation<'_>> {
+        match self {
+            Coverage::Footprint => Simulation::new(scene),
+            Coverage::Exhaustive => Simulation::exhaustive(scene),
+        }
+    }
+}
+
 /// How a long run tells where it is and hears that it should stop.
 pub struct Control<'a> {
     /// Called with the number of frames done so far, from any thread.

@@ -1,6 +1,6 @@
 //! One frame with its truth, for looking at and for learning from.
 
-use super::{Control, Simulation, files};
+use super::{Control, Coverage, files};
 use crate::error::Result;
 use crate::inspect::picture::encode_counts;
 use crate::integrator::truth_layers;
@@ -21,10 +21,16 @@ pub struct RenderSummary {
 
 /// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
 /// the truth layers) to `out`.
-pub fn render(scene: &Scene, frame: u32, out: &Path, control: &Control) -> Result<RenderSummary> {
+pub fn render(
+    scene: &Scene,
+    frame: u32,
+    coverage: Coverage,
+    out: &Path,
+    control: &Control,
+) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
     files::create_folder(out)?;
-    let simulation = Simulation::new(scene)?;
+    let simulation = coverage.simulation(scene)?;
     control.check()?;
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);

@@ -1,7 +1,7 @@
 //! A whole scan: frames in parallel, then cloud, summary, report and, last of
 //! all, the manifest that says the run is complete.
 
-use super::{Control, Simulation, files};
+use super::{Control, Coverage, Simulation, files};
 use crate::accel;
 use crate::error::Result;
 use crate::inspect::chart::short;
@@ -45,6 +45,7 @@ struct Manifest<'a> {
     scene_sha256: &'a str,
     seed: u64,
     frames: u32,
+    coverage: Coverage,
     threads: usize,
     seconds_prepare: f64,
     seconds_frames: f64,
@@ -54,10 +55,15 @@ struct Manifest<'a> {
 /// Runs all frames and writes `cloud.ply`, `profiles/`, `summary.json`,
 /// `report.html` and `manifest.json` to `out`, and `frames/` if the scene asks
 /// for them. What an earlier run left there under these names goes first.
-pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary> {
+pub fn scan(
+    scene: &Scene,
+    coverage: Coverage,
+    out: &Path,
+    control: &Control,
+) -> Result<ScanSummary> {
     let start = Instant::now();
     let (profiles, frames) = clear(scene, out)?;
-    let simulation = Simulation::new(scene)?;
+    let simulation = coverage.simulation(scene)?;
     let prepared = Instant::now();
 
     let columns = scene.camera.sensor.resolution.x;
@@ -106,6 +112,7 @@ pub fn scan(scene: &Scene, out: &Path, control: &Control) -> Result<ScanSummary>
         scene_sha256: &scene.hash,
         seed: scene.seed,
         frames: scene.scan.frames,
+        coverage,
         threads: rayon::current_num_threads(),
         seconds_prepare: (prepared - start).as_secs_f64(),
         seconds_frames: (measured - prepared).as_secs_f64(),

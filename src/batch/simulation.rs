@@ -1,12 +1,12 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
-use crate::accel::Accel;
+use crate::accel::{Accel, Clusters};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
-use crate::integrator::{Plan, Speckle, View, irradiance_image};
+use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, find_peaks};
@@ -23,6 +23,8 @@ pub struct Simulation<'s> {
     pub accel: Accel<'s>,
     pub plan: Plan,
     speckle: Option<Patterns>,
+    /// `None`: every sample is traced.
+    clusters: Option<Clusters>,
 }
 
 /// Speckle of a scan: the patterns, how they lie over the sensor, and how they
@@ -35,6 +37,14 @@ struct Patterns {
 
 impl<'s> Simulation<'s> {
     pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
+        Ok(Simulation {
+            clusters: Some(Clusters::new(&scene.mesh)),
+            ..Simulation::exhaustive(scene)?
+        })
+    }
+
+    /// One that traces every sample, to the same bytes.
+    pub fn exhaustive(scene: &'s Scene) -> Result<Simulation<'s>> {
         let plan = plan(scene);
         Ok(Simulation {
             scene,
@@ -44,6 +54,7 @@ impl<'s> Simulation<'s> {
                 true => Some(Patterns::new(scene)?),
                 false => None,
             },
+            clusters: None,
         })
     }
 
@@ -64,7 +75,11 @@ impl<'s> Simulation<'s> {
 
     /// Irradiance on the sensor in a frame, mW/mm².
     pub fn irradiance(&self, frame: u32) -> Vec<f32> {
-        irradiance_image(&self.view(frame))
+        let view = self.view(frame);
+        match &self.clusters {
+            Some(clusters) => footprint_image(&view, clusters),
+            None => irradiance_image(&view),
+        }
     }
 
     /// What the sensor makes of an irradiance image.

@@ -5,6 +5,7 @@ mod render;
 mod scan;
 mod wave;
 
+use crate::batch::Coverage;
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -64,6 +65,23 @@ impl SceneArguments {
         let mut scene = crate::scene::Scene::load(&self.scene)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
         Ok(scene)
+    }
+}
+
+/// Which samples to trace.
+#[derive(clap::Args)]
+struct CoverageArguments {
+    /// Trace every sample, also those that see no light: slower, to the same result
+    #[arg(long)]
+    exhaustive: bool,
+}
+
+impl CoverageArguments {
+    fn coverage(&self) -> Coverage {
+        match self.exhaustive {
+            true => Coverage::Exhaustive,
+            false => Coverage::Footprint,
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments};
+use super::{CoverageArguments, Output, STOP, SceneArguments};
 use crate::batch::{self, Control};
 use crate::error::Result;
 use std::path::PathBuf;
@@ -7,6 +7,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    #[command(flatten)]
+    coverage: CoverageArguments,
     /// Frame of the scan, from 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: u32,
@@ -21,7 +23,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         progress: &|_| {},
         stop: &STOP,
     };
-    let summary = batch::render(&scene, arguments.frame, &arguments.output, &control)?;
+    let summary = batch::render(
+        &scene,
+        arguments.frame,
+        arguments.coverage.coverage(),
+        &arguments.output,
+        &control,
+    )?;
     let text = format!(
         "frame {}: counts up to {}, {:.3} on average\n{}\n{}",
         summary.frame,

@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments};
+use super::{CoverageArguments, Output, STOP, SceneArguments};
 use crate::batch::{self, Control};
 use crate::error::Result;
 use crate::inspect::chart::short;
@@ -8,6 +8,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    #[command(flatten)]
+    coverage: CoverageArguments,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -20,7 +22,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         progress: &|done| bar.set_position(done),
         stop: &STOP,
     };
-    let summary = batch::scan(&scene, &arguments.output, &control);
+    let summary = batch::scan(
+        &scene,
+        arguments.coverage.coverage(),
+        &arguments.output,
+        &control,
+    );
     bar.finish_and_clear();
     let summary = summary?;
     let deviation = match &summary.deviation {

@@ -1,9 +1,12 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
+mod blocks;
 mod direct;
+mod footprint;
 pub mod plan;
+mod sight;
 mod truth;
 
-pub use direct::{Speckle, View, irradiance_image};
+pub use direct::{Speckle, View, footprint_image, irradiance_image};
 pub use plan::Plan;
 pub use truth::{Truth, truth_layers};

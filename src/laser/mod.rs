@@ -77,10 +77,10 @@ impl Laser {
     }
 
     /// Half extents in x and y of a box around the z axis outside which there is
-    /// no light at distances up to `distance` from the aperture, mm.
-    pub fn reach(&self, distance: f64) -> DVec2 {
+    /// no light at distances `from` to `to` from the aperture, mm.
+    pub fn reach(&self, from: f64, to: f64) -> DVec2 {
         // w(z) is convex: it is greatest at an end.
-        let radius = self.beam.radius(0.0).max(self.beam.radius(distance));
+        let radius = self.beam.radius(from).max(self.beam.radius(to));
         let y = CUTOFF_RADII * radius;
         DVec2::new(if self.fan.is_some() { f64::INFINITY } else { y }, y)
     }

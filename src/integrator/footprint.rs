@@ -1,0 +1,334 @@
+//! Which samples can see lit surface: the triangles that the beam's volume
+//! touches within the camera's view, cut to it and projected to the sensor.
+//!
+//! Nothing lit is left out. A sample shows light only from a point P of its own
+//! ray at which the laser shines, and P is within `Accel::overshoot` of a point Q
+//! of a triangle. So P is in the volume, Q in the volume widened by the overshoot
+//! and thus in the cut polygon, and `Projection::spread` bounds how far the image
+//! of Q is from that of P, the sample.
+
+use super::View;
+use super::blocks::Blocks;
+use super::sight::{Image, Projection, Sight};
+use crate::accel::{Clusters, Found, HalfSpace};
+use crate::laser::{FanProfile, Laser};
+use crate::math::{Aabb, DVec2, DVec3, Rigid};
+
+/// Blocks that may see light. Costs what the beam touches, not what the mesh or
+/// the sensor holds.
+pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Blocks {
+    let resolution = view.camera.sensor.resolution;
+    let mut blocks = Blocks::none(resolution, view.samples_per_side);
+    let margin = margin(view);
+    let projection = Projection::new(sight, resolution.as_dvec2());
+    let frustum = frustum(sight.eye, &projection, resolution.as_dvec2());
+    let detail = detail(view, &projection);
+    let mut marker = Marker {
+        blocks: &mut blocks,
+        samples_per_side: view.samples_per_side as f64,
+        projection,
+        margin,
+    };
+    let mut volume = Vec::new();
+    for slice in slices(
+        view.laser,
+        &view.part_from_laser,
+        &view.accel.bounds(),
+        margin,
+    ) {
+        volume.clear();
+        volume.extend(slice.iter().chain(&frustum).map(|h| h.widened(margin)));
+        clusters.touching(&volume, detail, |found| match found {
+            Found::Triangle { index, crossed } => {
+                let mut polygon = Polygon::new(view.accel.mesh().triangle(index as usize));
+                for (i, half) in volume.iter().enumerate() {
+                    if crossed >> i & 1 == 1 {
+                        polygon.cut(half);
+                    }
+                }
+                marker.polygon(polygon.corners());
+            }
+            Found::Ball { center, radius } => marker.ball(center, radius),
+        });
+    }
+    blocks
+}
+
+/// How far Q may be from P: the overshoot, and the rounding of f64 in coordinates
+/// that run up to the largest in play (some 2⁻⁵⁰ of it, taken 16 times).
+fn margin(view: &View) -> f64 {
+    let bounds = view.accel.bounds();
+    let largest = [
+        bounds.min,
+        bounds.max,
+        view.part_from_camera.translation,
+        view.part_from_laser.translation,
+    ]
+    .map(|p| p.abs().max_element())
+    .into_iter()
+    .fold(0.0, f64::max);
+    view.accel.overshoot() + largest * 2f64.powi(-46)
+}
+
+/// The size (mm) of two pixels' view in the middle of the part: what is smaller
+/// is not worth cutting. A choice of speed alone.
+fn detail(view: &View, projection: &Projection) -> f64 {
+    let scale = projection.image(view.accel.bounds().center()).scale;
+    2.0 / projection.spread(1.0, scale.abs()).max_element()
+}
+
+/// What the sensor sees: a pyramid from the eye.
+fn frustum(eye: DVec3, projection: &Projection, resolution: DVec2) -> [HalfSpace; 4] {
+    let Projection {
+        column, row, scale, ..
+    } = projection;
+    [
+        *column,
+        scale * resolution.x - column,
+        *row,
+        scale * resolution.y - row,
+    ]
+    .map(|inward| HalfSpace::new(eye, inward))
+}
+
+/// The beam where it may meet the part, cut along its axis into pieces over which
+/// its width varies little; each piece is convex.
+fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> Vec<Vec<HalfSpace>> {
+    let laser_from_part = part_from_laser.inverse();
+    let part = Aabb::of(part.corners().map(|c| laser_from_part.point(c)));
+    let (near, far) = ((part.min.z - margin).max(0.0), part.max.z + margin);
+    if far <= near {
+        return Vec::new();
+    }
+    let waist = laser.beam.waist_distance.clamp(near, far);
+    let widest = laser.beam.radius(near).max(laser.beam.radius(far));
+    // A piece more for each 10 % that the beam widens.
+    let count = ((widest / laser.beam.radius(waist) - 1.0) * 10.0)
+        .clamp(1.0, 8.0)
+        .ceil();
+    let furthest_x = part.min.x.abs().max(part.max.x.abs()) + margin;
+    let (across, along) = (
+        part_from_laser.rotation.y_axis,
+        part_from_laser.rotation.z_axis,
+    );
+    let aperture = part_from_laser.translation;
+    (0..count as usize)
+        .map(|i| {
+            let z = |i: usize| near + (far - near) * i as f64 / count;
+            let (from, to) = (z(i), z(i + 1));
+            // The width of a sheet follows the distance from the aperture.
+            let furthest = match laser.fan {
+                None => to,
+                Some(fan) if fan.profile == FanProfile::Uniform => {
+                    furthest_x.hypot(to).min(to / (fan.angle / 2.0).cos())
+                }
+                Some(_) => furthest_x.hypot(to),
+            };
+            let reach = laser.reach(from, furthest);
+            let mut slice = vec![
+                HalfSpace::new(aperture - across * reach.y, across),
+                HalfSpace::new(aperture + across * reach.y, -across),
+                HalfSpace::new(aperture + along * from, along),
+                HalfSpace::new(aperture + along * to, -along),
+            ];
+            slice.extend(sides(laser, part_from_laser, reach.x).into_iter().flatten());
+            slice
+        })
+        .collect()
+}
+
+/// What bounds the beam along x.
+fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
+    let aperture = part_from_laser.translation;
+    let (x, z) = (
+        part_from_laser.rotation.x_axis,
+        part_from_laser.rotation.z_axis,
+    );
+    match laser.fan {
+        None => Some([-x, x].map(|inward| HalfSpace::new(aperture - inward * reach, inward))),
+        Some(fan) if fan.profile == FanProfile::Uniform => {
+            let (sin, cos) = (fan.angle / 2.0).sin_cos();
+            Some([-x, x].map(|inward| HalfSpace::new(aperture, z * sin + inward * cos)))
+        }
+        Some(_) => None,
+    }
+}
+
+/// Most corners of a triangle cut by the at most ten planes above: each adds one.
+const MOST_CORNERS: usize = 16;
+
+/// A convex polygon in space.
+struct Polygon {
+    corners: [DVec3; MOST_CORNERS],
+    count: usize,
+}
+
+impl Polygon {
+    fn new(triangle: [DVec3; 3]) -> Polygon {
+        let mut corners = [DVec3::ZERO; MOST_CORNERS];
+        corners[..3].copy_from_slice(&triangle);
+        Polygon { corners, count: 3 }
+    }
+
+    fn corners(&self) -> &[DVec3] {
+        &self.corners[..self.count]
+    }
+
+    /// Keeps what is in the half-space (Sutherland & Hodgman 1974).
+    fn cut(&mut self, half: &HalfSpace) {
+        let mut heights = [0.0; MOST_CORNERS];
+        for (height, &corner) in heights.iter_mut().zip(self.corners()) {
+            *height = half.height(corner);
+        }
+        let outside = |i: usize| heights[i % self.count] < 0.0;
+        let changes = (0..self.count).filter(|&i| outside(i) != outside(i + 1));
+        match changes.count() {
+            0 if self.count == 0 || !outside(0) => return,
+            0 | 2 => {}
+            // All on the plane but for rounding: left whole, it is seen no less.
+            _ => return,
+        }
+        let all = std::mem::replace(self, Polygon { count: 0, ..*self });
+        let mut before = all.count.wrapping_sub(1);
+        for i in 0..all.count {
+            let (from, to) = (heights[before], heights[i]);
+            let (p, q) = (all.corners[before], all.corners[i]);
+            if (from < 0.0) != (to < 0.0) {
+                self.push(p + (q - p) * (from / (from - to)));
+            }
+            if to >= 0.0 {
+                self.push(q);
+            }
+            before = i;
+        }
+    }
+
+    fn push(&mut self, corner: DVec3) {
+        self.corners[self.count] = corner;
+        self.count += 1;
+    }
+}
+
+/// More than rounding moves an image by, pixels: 1e-8 in projecting; and on the
+/// edge of a polygon 1e-11 in row become 1e-3 in column where the edge rises by
+/// only [`LEVEL`] over the 65 536 columns of the largest sensor.
+const ROUNDING: f64 = 1e-2;
+/// Edges that rise less than this (pixels) count as level.
+const LEVEL: f64 = 1e-3;
+/// Polygons lower than this are marked by their bounding box, sub-rows.
+const LOW: f64 = 4.0;
+
+/// Adds to `blocks` what may see something.
+struct Marker<'a> {
+    blocks: &'a mut Blocks,
+    samples_per_side: f64,
+    projection: Projection,
+    /// How far what is seen may be from what is marked, mm.
+    margin: f64,
+}
+
+impl Marker<'_> {
+    fn ball(&mut self, center: DVec3, radius: f64) {
+        let Image { pixel, scale } = self.projection.image(center);
+        let distance = radius + self.margin;
+        if scale > 0.0 {
+            let spread = self.projection.spread(distance, scale) + ROUNDING;
+            self.rectangle(pixel - spread, pixel + spread);
+        } else if -scale <= distance * self.projection.scale.length() {
+            // The lens is in the ball.
+            self.blocks.insert_all();
+        }
+    }
+
+    fn polygon(&mut self, corners: &[DVec3]) {
+        if corners.is_empty() {
+            return;
+        }
+        let mut images = [DVec2::ZERO; MOST_CORNERS];
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        let mut nearest = f64::INFINITY;
+        for (image, &corner) in images.iter_mut().zip(corners) {
+            let Image { pixel, scale } = self.projection.image(corner);
+            *image = pixel;
+            (low, high) = (low.min(pixel), high.max(pixel));
+            nearest = nearest.min(scale);
+        }
+        let spread = self.projection.spread(self.margin, nearest) + ROUNDING;
+        let finite = (low + high + spread).is_finite();
+        if nearest <= 0.0 || !finite {
+            // Within the margin of the lens: cut to the camera's view, nothing
+            // else is behind it.
+            return self.blocks.insert_all();
+        }
+        if (high.y - low.y) * self.samples_per_side <= LOW {
+            self.rectangle(low - spread, high + spread);
+        } else {
+            self.rows(&images[..corners.len()], low.y, high.y, spread);
+        }
+    }
+
+    /// Sample indices from `low` to `high` (pixels) along an axis with `count`.
+    fn samples(&self, low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
+        // Sample i is at (i + ½)/samples_per_side. Bounds that are not numbers
+        // count as infinite.
+        let first = (low * self.samples_per_side - 0.5).ceil().max(0.0);
+        let last = (high * self.samples_per_side - 0.5)
+            .floor()
+            .min((count - 1) as f64);
+        (first <= last).then_some((first as usize, last as usize))
+    }
+
+    fn rectangle(&mut self, low: DVec2, high: DVec2) {
+        let Some((top, bottom)) = self.samples(low.y, high.y, self.blocks.sub_rows) else {
+            return;
+        };
+        if let Some((first, last)) = self.samples(low.x, high.x, self.blocks.samples) {
+            for sub_row in top..=bottom {
+                self.blocks.insert(sub_row, first, last);
+            }
+        }
+    }
+
+    /// Sub-row by sub-row what lies within `spread` of a convex polygon that
+    /// spans the rows from `low` to `high`.
+    fn rows(&mut self, polygon: &[DVec2], low: f64, high: f64, spread: DVec2) {
+        let count = self.blocks.sub_rows;
+        let Some((top, bottom)) = self.samples(low - spread.y, high + spread.y, count) else {
+            return;
+        };
+        for sub_row in top..=bottom {
+            let y = (sub_row as f64 + 0.5) / self.samples_per_side;
+            let strip = (y - spread.y, y + spread.y);
+            let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
+            let mut before = polygon[polygon.len() - 1];
+            for &corner in polygon {
+                if let Some((a, b)) = within_strip(before, corner, strip) {
+                    left = left.min(a).min(b);
+                    right = right.max(a).max(b);
+                }
+                before = corner;
+            }
+            let samples = self.blocks.samples;
+            let run = self.samples(left - spread.x, right + spread.x, samples);
+            if let Some((first, last)) = run {
+                self.blocks.insert(sub_row, first, last);
+            }
+        }
+    }
+}
+
+/// Columns of the ends of the part of the edge `p`–`q` between two rows.
+fn within_strip(p: DVec2, q: DVec2, (top, bottom): (f64, f64)) -> Option<(f64, f64)> {
+    if p.y.max(q.y) < top || p.y.min(q.y) > bottom {
+        return None;
+    }
+    let rise = q.y - p.y;
+    if rise.abs() < LEVEL {
+        return Some((p.x, q.x));
+    }
+    let column = |end: DVec2| {
+        let row = end.y.clamp(top, bottom);
+        end.x + (row - end.y) * ((q.x - p.x) / rise)
+    };
+    Some((column(p), column(q)))
+}

@@ -1,0 +1,361 @@
+//! Tracing only what may see lit surface gives the bytes of tracing everything.
+
+use glam::UVec2;
+use lasertrace::accel::{Accel, Clusters};
+use lasertrace::batch::Simulation;
+use lasertrace::camera::{Camera, Lens, Sensor};
+use lasertrace::integrator::{Speckle, View, footprint_image, irradiance_image};
+use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
+use lasertrace::math::rng::{Key, Purpose};
+use lasertrace::math::{DVec2, DVec3, Rigid};
+use lasertrace::mesh::{self, Mesh, shapes};
+use lasertrace::scene::Scene;
+use lasertrace::speckle::lookup::{Lookup, Method};
+use lasertrace::speckle::pattern::{Aperture, PatternSpec};
+use lasertrace::surface::Lambert;
+use std::path::{Path, PathBuf};
+
+/// A sequence of random choices, the same on every run.
+struct Random(Key, u64);
+
+impl Random {
+    fn new(seed: u64) -> Random {
+        Random(Key::new(seed, Purpose::SensorNoise), 0)
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.1 += 1;
+        low + (high - low) * self.0.uniform(self.1)
+    }
+
+    /// Uniform in the logarithm.
+    fn scale(&mut self, low: f64, high: f64) -> f64 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    /// One of 0 to n - 1.
+    fn choice(&mut self, n: usize) -> usize {
+        self.between(0.0, n as f64) as usize
+    }
+
+    fn vector(&mut self, half: f64) -> DVec3 {
+        DVec3::from_array(std::array::from_fn(|_| self.between(-half, half)))
+    }
+
+    fn direction(&mut self) -> DVec3 {
+        loop {
+            let v = self.vector(1.0);
+            if (0.1..1.0).contains(&v.length()) {
+                return v.normalize();
+            }
+        }
+    }
+}
+
+/// All that a view borrows.
+struct Setup {
+    laser: Laser,
+    part_from_laser: Rigid,
+    camera: Camera,
+    part_from_camera: Rigid,
+    samples_per_side: u32,
+    speckle: bool,
+}
+
+fn camera(resolution: UVec2, pitch: f64, focus_distance: f64, tilt: DVec2) -> Camera {
+    Camera {
+        lens: Lens {
+            focal_length: 25.0,
+            f_number: 8.0,
+            focus_distance,
+        },
+        sensor: Sensor {
+            resolution,
+            pixel_pitch: pitch,
+            exposure_ms: 1.0,
+            quantum_efficiency: 0.5,
+            gain_dn_per_e: 0.1,
+            bit_depth: 12,
+            full_well_e: 20_000.0,
+            black_level_dn: 0.0,
+            noise: None,
+        },
+        tilt,
+    }
+}
+
+impl Setup {
+    /// Laser and camera anywhere, mostly turned towards the part.
+    fn random(mesh: &Mesh, random: &mut Random) -> Setup {
+        let bounds = mesh.bounds();
+        let size = bounds.size().max_element();
+        let pose = |random: &mut Random| loop {
+            // Now and then amid the part, so that some of it is behind.
+            let far = if random.choice(8) == 0 {
+                0.3
+            } else {
+                random.scale(0.7, 10.0)
+            };
+            let origin = bounds.center() + random.direction() * far * size;
+            let target = bounds.center() + random.vector(0.35) * bounds.size();
+            let pose = Rigid::from_z_and_x(origin, target - origin, random.direction());
+            if let Some(pose) = pose {
+                return (pose, (target - origin).length());
+            }
+        };
+        let (part_from_laser, laser_distance) = pose(random);
+        let (part_from_camera, camera_distance) = pose(random);
+        let fan = match random.choice(3) {
+            0 => None,
+            kind => Some(Fan {
+                angle: random.between(0.02, 2.0),
+                profile: [FanProfile::Uniform, FanProfile::Gaussian][kind - 1],
+            }),
+        };
+        let waist_radius = size * random.scale(1e-3, 0.03);
+        let wavelength = 660e-6;
+        let beam = Beam {
+            wavelength,
+            power_mw: 5.0,
+            waist_radius,
+            waist_distance: laser_distance * random.between(-0.5, 1.5),
+            // From a beam that hardly widens to 0.3 rad.
+            m_squared: (random.scale(1e-3, 0.3) * waist_radius * std::f64::consts::PI / wavelength)
+                .max(1.0),
+        };
+        let resolution = match random.choice(6) {
+            0 => UVec2::new(1, 1),
+            1 => UVec2::new(1, 1 + random.choice(90) as u32),
+            _ => UVec2::new(1 + random.choice(150) as u32, 1 + random.choice(90) as u32),
+        };
+        let focus_distance = 25.0 * random.between(1.5, 9.0);
+        let image_distance = 25.0 * focus_distance / (focus_distance - 25.0);
+        let width = size / camera_distance * image_distance * random.scale(0.3, 3.0);
+        // A wide sensor is tilted less: it must stay in front of the lens.
+        let most = 0.9 * (image_distance / width).atan();
+        let tilt = match random.choice(2) {
+            0 => DVec2::ZERO,
+            _ => DVec2::new(random.between(-most, most), random.between(-most, most)) * 0.5,
+        };
+        Setup {
+            laser: Laser { beam, fan },
+            part_from_laser,
+            camera: camera(
+                resolution,
+                width / resolution.max_element() as f64,
+                focus_distance,
+                tilt,
+            ),
+            part_from_camera,
+            samples_per_side: 1 + random.choice(4) as u32,
+            speckle: random.choice(2) == 0,
+        }
+    }
+}
+
+/// A part with what is built over it.
+struct Part<'m> {
+    accel: Accel<'m>,
+    clusters: Clusters,
+    lookup: &'m Lookup,
+}
+
+fn lookup() -> Lookup {
+    let spec = PatternSpec {
+        size: 64,
+        texels_per_speckle: 4.0,
+        aperture: Aperture::Circle,
+        slices: 8,
+        seed: 1,
+    };
+    Lookup::new(&spec, Method::Field).unwrap()
+}
+
+impl<'m> Part<'m> {
+    fn new(mesh: &'m Mesh, lookup: &'m Lookup) -> Part<'m> {
+        Part {
+            accel: Accel::build(mesh, 1).unwrap(),
+            clusters: Clusters::new(mesh),
+            lookup,
+        }
+    }
+
+    /// Whether the two images are the same to the bit, and how many pixels are lit.
+    fn compare(&self, setup: &Setup) -> (bool, usize) {
+        let view = View {
+            accel: &self.accel,
+            surface: Lambert { reflectance: 0.5 },
+            laser: &setup.laser,
+            part_from_laser: setup.part_from_laser,
+            camera: &setup.camera,
+            part_from_camera: setup.part_from_camera,
+            speckle: setup.speckle.then_some(Speckle {
+                lookup: self.lookup,
+                texels_per_pixel: 1.7,
+            }),
+            samples_per_side: setup.samples_per_side,
+        };
+        same(
+            &irradiance_image(&view),
+            &footprint_image(&view, &self.clusters),
+        )
+    }
+}
+
+fn same(all: &[f32], some: &[f32]) -> (bool, usize) {
+    let bits = |image: &[f32]| image.iter().map(|e| e.to_bits()).collect::<Vec<_>>();
+    (
+        bits(all) == bits(some),
+        all.iter().filter(|&&e| e != 0.0).count(),
+    )
+}
+
+/// Loose triangles of very different sizes, slivers among them.
+fn soup() -> Mesh {
+    let mut random = Random::new(5);
+    let mut positions = Vec::new();
+    for _ in 0..400 {
+        let (at, size) = (random.vector(10.0), random.scale(0.01, 8.0));
+        positions.extend((0..3).map(|_| at + random.vector(size)));
+    }
+    Mesh {
+        positions,
+        triangles: (0..400).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
+    }
+}
+
+fn root(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn parts() -> Vec<(&'static str, Mesh)> {
+    let thin_wall = shapes::step_block(DVec3::new(40.0, 0.05, 15.0), 5.0).unwrap();
+    let mut far_off = shapes::sphere(8.0, 0.05).unwrap();
+    for p in &mut far_off.positions {
+        *p += DVec3::new(3e5, -2e4, 1e3);
+    }
+    vec![
+        (
+            "bracket",
+            mesh::load(&root("scenes/bracket/bracket.stl"), 1.0).unwrap(),
+        ),
+        (
+            "step block",
+            shapes::step_block(DVec3::new(30.0, 20.0, 12.0), 4.0).unwrap(),
+        ),
+        ("sphere", shapes::sphere(10.0, 0.01).unwrap()),
+        ("fine sphere", shapes::sphere(10.0, 2e-4).unwrap()),
+        ("cylinder", shapes::cylinder(6.0, 40.0, 0.02).unwrap()),
+        ("plane", shapes::plane(DVec2::new(60.0, 40.0)).unwrap()),
+        ("thin wall", thin_wall),
+        ("far-off sphere", far_off),
+        ("soup", soup()),
+    ]
+}
+
+#[test]
+fn random_scenes_are_the_same_to_the_bit() {
+    let lookup = lookup();
+    for (i, (name, mesh)) in parts().iter().enumerate() {
+        let part = Part::new(mesh, &lookup);
+        let (mut lit, mut dark) = (0, 0);
+        for seed in 0..80 {
+            let mut random = Random::new(1000 * i as u64 + seed);
+            let (same, pixels) = part.compare(&Setup::random(mesh, &mut random));
+            assert!(same, "{name}, seed {seed}");
+            lit += usize::from(pixels > 0);
+            dark += usize::from(pixels == 0);
+        }
+        // Both kinds are there.
+        assert!(lit >= 20 && dark >= 3, "{name}: {lit} lit, {dark} dark");
+    }
+}
+
+/// A camera that looks along a plane 90° to 0.001° from edge-on, and along a face
+/// of the step block, with the line across the view and along it.
+#[test]
+fn surfaces_seen_grazing_are_the_same_to_the_bit() {
+    let lookup = lookup();
+    let plane = shapes::plane(DVec2::new(60.0, 40.0)).unwrap();
+    let block = shapes::step_block(DVec3::new(30.0, 20.0, 12.0), 4.0).unwrap();
+    for (mesh, top) in [(&plane, 0.0), (&block, 12.0)] {
+        let part = Part::new(mesh, &lookup);
+        let target = DVec3::new(5.0, 0.3, top);
+        for degrees in [90.0f64, 30.0, 3.0, 0.3, 0.03, 0.003, 0.001] {
+            for (line, kind) in [(DVec3::X, 0), (DVec3::Y, 1), (DVec3::new(1.0, 0.3, 0.0), 2)] {
+                let (sin, cos) = degrees.to_radians().sin_cos();
+                let eye = target + DVec3::new(0.0, -cos, sin) * 120.0;
+                let above = target + DVec3::new(1.0, 2.0, 90.0);
+                let setup = Setup {
+                    laser: Laser {
+                        beam: Beam {
+                            wavelength: 660e-6,
+                            power_mw: 5.0,
+                            waist_radius: 0.1,
+                            waist_distance: 80.0,
+                            m_squared: 1.5,
+                        },
+                        fan: [FanProfile::Uniform, FanProfile::Gaussian].get(kind).map(
+                            |&profile| Fan {
+                                angle: 0.4,
+                                profile,
+                            },
+                        ),
+                    },
+                    part_from_laser: Rigid::from_z_and_x(above, target - above, line).unwrap(),
+                    camera: camera(UVec2::new(161, 67), 0.05, 120.0, DVec2::new(0.2, 0.0)),
+                    part_from_camera: Rigid::from_z_and_x(eye, target - eye, DVec3::X).unwrap(),
+                    samples_per_side: 2,
+                    speckle: false,
+                };
+                let (same, lit) = part.compare(&setup);
+                assert!(same, "{degrees}° {line}");
+                // Foreshortened to less than a sample a line may be missed.
+                assert!(lit > 0 || degrees < 30.0, "{degrees}° {line}: dark");
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_of_the_bracket_scene_are_the_same_to_the_bit() {
+    let scene = Scene::load(&root("scenes/bracket/scene.toml")).unwrap();
+    let footprint = Simulation::new(&scene).unwrap();
+    let exhaustive = Simulation::exhaustive(&scene).unwrap();
+    for frame in [20, 55, 110, 170, 218] {
+        let (same, lit) = same(&exhaustive.irradiance(frame), &footprint.irradiance(frame));
+        // The last frame is past the part.
+        assert!(
+            same && (lit > 1000 || frame == 218),
+            "frame {frame}, {lit} lit"
+        );
+    }
+}
+
+/// Parts from elsewhere, as far as they are on this machine.
+#[test]
+fn random_scenes_of_real_parts_are_the_same_to_the_bit() {
+    let folder = root("../shared/data/meshes");
+    let Ok(entries) = std::fs::read_dir(&folder) else {
+        eprintln!("NOT TESTED: no real parts at {}", folder.display());
+        return;
+    };
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    let lookup = lookup();
+    let (mut parts, mut lit) = (0, 0);
+    for path in paths {
+        let Ok(mesh) = mesh::load(&path, 1.0) else {
+            continue;
+        };
+        parts += 1;
+        let part = Part::new(&mesh, &lookup);
+        for seed in 0..12 {
+            let mut random = Random::new(900_000 + seed);
+            let (same, pixels) = part.compare(&Setup::random(&mesh, &mut random));
+            assert!(same, "{}, seed {seed}", path.display());
+            lit += usize::from(pixels > 0);
+        }
+    }
+    assert!(parts > 0 && lit > parts, "{parts} parts, {lit} lit views");
+}
