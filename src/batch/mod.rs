@@ -4,12 +4,15 @@ mod files;
 mod render;
 mod scan;
 mod simulation;
+mod wave;
 
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};
+pub use wave::{WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference};
 
 use crate::error::{Error, Result};
+use crate::scene::Scene;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a long run tells where it is and hears that it should stop.
@@ -26,4 +29,16 @@ impl Control<'_> {
             false => Ok(()),
         }
     }
+}
+
+/// Refuses a frame the scan does not have.
+fn check_frame(scene: &Scene, frame: u32) -> Result<()> {
+    if frame < scene.scan.frames {
+        return Ok(());
+    }
+    Err(Error::Usage(format!(
+        "--frame {frame}: the scan of {} has frames 0 to {}",
+        scene.path.display(),
+        scene.scan.frames - 1
+    )))
 }

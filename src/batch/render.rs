@@ -1,7 +1,7 @@
 //! One frame with its truth, for looking at and for learning from.
 
 use super::{Control, Simulation, files};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::inspect::picture::encode_counts;
 use crate::integrator::truth_layers;
 use crate::scene::Scene;
@@ -22,13 +22,7 @@ pub struct RenderSummary {
 /// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
 /// the truth layers) to `out`.
 pub fn render(scene: &Scene, frame: u32, out: &Path, control: &Control) -> Result<RenderSummary> {
-    if frame >= scene.scan.frames {
-        return Err(Error::Usage(format!(
-            "--frame {frame}: the scan of {} has frames 0 to {}",
-            scene.path.display(),
-            scene.scan.frames - 1
-        )));
-    }
+    super::check_frame(scene, frame)?;
     files::create_folder(out)?;
     let simulation = Simulation::new(scene)?;
     control.check()?;

@@ -8,39 +8,40 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::integrator::{Plan, Speckle, View, irradiance_image};
 use crate::math::rng::{Key, Purpose};
-use crate::math::{Aabb, Rigid};
+use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, find_peaks};
 use crate::scene::Scene;
-use crate::speckle::lookup::{Lookup, Method};
-use crate::speckle::pattern::{Aperture, PatternSpec};
+use crate::speckle::anchor::PoseAnchor;
+use crate::speckle::coordinate::GrainMap;
+use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::speckle::motion::{Source, SurfaceView};
+use crate::speckle::pattern::PatternSpec;
 use rayon::prelude::*;
 
 pub struct Simulation<'s> {
     pub scene: &'s Scene,
     pub accel: Accel<'s>,
     pub plan: Plan,
-    speckle: Option<Lookup>,
+    speckle: Option<Patterns>,
 }
 
-/// Texels per minimal speckle size.
-const TEXELS_PER_SPECKLE: f64 = 4.0;
+/// Speckle of a scan: the patterns, how they lie over the sensor, and how they
+/// follow the part.
+struct Patterns {
+    lookup: Lookup,
+    map: GrainMap,
+    anchor: PoseAnchor,
+}
 
 impl<'s> Simulation<'s> {
     pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
         let plan = plan(scene);
-        let spec = PatternSpec {
-            size: 1024,
-            texels_per_speckle: TEXELS_PER_SPECKLE,
-            aperture: Aperture::Circle,
-            slices: 8,
-            seed: scene.seed,
-        };
         Ok(Simulation {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
             plan,
             speckle: match scene.speckle {
-                true => Some(Lookup::new(&spec, Method::Field)?),
+                true => Some(Patterns::new(scene)?),
                 false => None,
             },
         })
@@ -56,10 +57,7 @@ impl<'s> Simulation<'s> {
             part_from_laser: part_from_head * scene.head_from_laser,
             camera: &scene.camera,
             part_from_camera: part_from_head * scene.head_from_camera,
-            speckle: self.speckle.as_ref().map(|lookup| Speckle {
-                lookup,
-                texels_per_pixel: TEXELS_PER_SPECKLE / self.plan.speckle_size_px,
-            }),
+            speckle: self.speckle.as_ref().map(|p| p.in_frame(&part_from_head)),
             samples_per_side: self.plan.samples_per_side,
         }
     }
@@ -112,6 +110,76 @@ impl<'s> Simulation<'s> {
             })
             .collect();
         (peaks, points)
+    }
+}
+
+impl Patterns {
+    fn new(scene: &Scene) -> Result<Patterns> {
+        let spec = PatternSpec {
+            slices: 32,
+            seed: scene.seed,
+            ..PatternSpec::default()
+        };
+        let wavelength = scene.laser.beam.wavelength;
+        let reference = scene.part_from_head(0);
+        Ok(Patterns {
+            lookup: Lookup::new(&spec, Method::Field, Coherence::FULL)?,
+            map: GrainMap::new(
+                spec.texels_per_speckle,
+                scene.camera.speckle_size(wavelength),
+                scene.camera.speckle_size_gradient(wavelength),
+            ),
+            anchor: PoseAnchor::new(
+                surface_view(scene, None),
+                reference.inverse().rotation,
+                scene.scan.step,
+            ),
+        })
+    }
+
+    fn in_frame(&self, part_from_head: &Rigid) -> Speckle<'_> {
+        let at = self.anchor.coordinate(part_from_head);
+        Speckle {
+            lookup: &self.lookup,
+            map: self.map,
+            // The view's second axis points up, the sensor's rows go down.
+            displacement: DVec2::new(at.sensor.x, -at.sensor.y),
+            slice: at.u * self.lookup.slices_per_diameter(),
+        }
+    }
+}
+
+/// The view of `point` (head's frame) on a surface across the beam; by default the
+/// point in the middle of the field, where the optical axis meets the laser plane
+/// (the plane of focus, if nowhere).
+pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
+    let camera = &scene.head_from_camera;
+    let laser = &scene.head_from_laser;
+    let (eye, axis) = (camera.translation, camera.rotation.z_axis);
+    let normal = laser.rotation.y_axis;
+    let distance = normal.dot(laser.translation - eye) / normal.dot(axis);
+    let lens = &scene.camera.lens;
+    let point =
+        point.unwrap_or_else(
+            || match distance.is_finite() && distance > lens.focal_length {
+                true => eye + axis * distance,
+                false => eye + axis * lens.focus_distance,
+            },
+        );
+    let wave = scene.laser.wavefront(laser.inverse().point(point));
+    let turn = laser.rotation;
+    SurfaceView {
+        point,
+        normal: -laser.rotation.z_axis,
+        source: Source::Wavefront {
+            direction: turn * wave.direction,
+            curvature_per_mm: turn * wave.curvature_per_mm * turn.transpose(),
+        },
+        pupil_centre: eye,
+        pupil_diameter: lens.pupil_diameter(),
+        image_x: camera.rotation.x_axis,
+        focus_distance: lens.focus_distance,
+        magnification: lens.image_distance() / (point - eye).length(),
     }
 }
 

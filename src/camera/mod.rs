@@ -35,10 +35,14 @@ impl Camera {
         self.sensor.resolution.as_dvec2() / 2.0
     }
 
-    /// Where `pixel` (column, row) lies, on the sensor drawn in front of the lens.
+    /// Where `pixel` (column, row) lies on the sensor, mm from its centre.
+    pub fn screen(&self, pixel: DVec2) -> DVec2 {
+        (pixel - self.center()) * self.sensor.pixel_pitch
+    }
+
+    /// Where `pixel` lies, on the sensor drawn in front of the lens.
     pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
-        let on_sensor = (pixel - self.center()) * self.sensor.pixel_pitch;
-        self.sensor_axes() * on_sensor.extend(0.0) + DVec3::Z * self.lens.image_distance()
+        self.sensor_axes() * self.screen(pixel).extend(0.0) + DVec3::Z * self.lens.image_distance()
     }
 
     /// Unit direction in which `pixel` looks from the pupil centre.
@@ -77,6 +81,13 @@ impl Camera {
     /// 1975), for a wavelength in mm.
     pub fn speckle_size(&self, wavelength: f64) -> f64 {
         wavelength * self.lens.image_distance() / self.lens.pupil_diameter()
+    }
+
+    /// Change of the minimal speckle size h along the sensor's columns and rows:
+    /// zero but for a tilted sensor, where d_PI changes.
+    pub fn speckle_size_gradient(&self, wavelength: f64) -> DVec2 {
+        let axes = self.sensor_axes();
+        DVec2::new(axes.x_axis.z, axes.y_axis.z) * wavelength / self.lens.pupil_diameter()
     }
 
     /// Diameter of the blur on the sensor of a point that lies at `point`, seen

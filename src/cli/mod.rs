@@ -3,6 +3,7 @@
 mod check;
 mod render;
 mod scan;
+mod wave;
 
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -42,6 +43,8 @@ enum Command {
     Render(render::Arguments),
     /// Run the whole scan: point cloud, deviation from CAD, report
     Scan(scan::Arguments),
+    /// Wave-optics reference: motions and line widths, or one patch of a scene
+    Wave(wave::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
 }
@@ -72,12 +75,13 @@ struct Output {
 
 impl Output {
     /// A progress bar on stderr if that is a terminal.
-    fn progress(&self, frames: u64) -> ProgressBar {
-        let bar = ProgressBar::new(frames);
+    fn progress(&self, steps: u64, of: &str) -> ProgressBar {
+        let bar = ProgressBar::new(steps);
         if self.quiet || !std::io::stderr().is_terminal() {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
-        let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left");
+        let style =
+            ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {of}, {{eta}} left"));
         bar.with_style(style.expect("the template is valid"))
     }
 
@@ -131,6 +135,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
+        Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -15,7 +15,7 @@ pub struct Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load()?;
-    let bar = output.progress(scene.scan.frames as u64);
+    let bar = output.progress(scene.scan.frames as u64, "frames");
     let control = Control {
         progress: &|done| bar.set_position(done),
         stop: &STOP,

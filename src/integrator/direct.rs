@@ -6,7 +6,8 @@ use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::speckle::lookup::{Coordinate, Lookup};
+use crate::speckle::coordinate::{Coordinate, GrainMap};
+use crate::speckle::lookup::Lookup;
 use crate::surface::Lambert;
 use rayon::prelude::*;
 
@@ -24,20 +25,24 @@ pub struct View<'a> {
     pub samples_per_side: u32,
 }
 
-/// Speckle patterns and the scale at which the sensor sees them.
+/// Speckle patterns, and how they lie over the sensor in one frame.
 #[derive(Clone, Copy)]
 pub struct Speckle<'a> {
     pub lookup: &'a Lookup,
-    /// α₂ = (N/d)·pitch/h, texels of the pattern per pixel (Bergmann et al. 2016).
-    pub texels_per_pixel: f64,
+    pub map: GrainMap,
+    /// a_I of the seed: displacement on the sensor at which the pattern is read,
+    /// (columns, rows), mm.
+    pub displacement: DVec2,
+    /// u, in slices.
+    pub slice: f64,
 }
 
 impl Speckle<'_> {
-    /// Speckle intensity (mean 1) at a place on the sensor.
-    fn intensity(&self, pixel: DVec2) -> f64 {
-        let at = pixel * self.texels_per_pixel;
-        let (s, t) = at.into();
-        self.lookup.intensity(Coordinate { s, t, u: 0.0 }) as f64
+    /// Speckle intensity (mean 1) at a point of the sensor, mm from its centre.
+    fn intensity(&self, screen: DVec2) -> f64 {
+        let (s, t) = self.map.position(screen, self.displacement).into();
+        let u = self.slice;
+        self.lookup.intensity(Coordinate { s, t, u }) as f64
     }
 }
 
@@ -238,10 +243,9 @@ impl<'a> Frame<'a> {
                 continue;
             };
             let radiance = self.view.surface.radiance(received);
-            let speckle = self
-                .view
-                .speckle
-                .map_or(1.0, |speckle| speckle.intensity(sample.pixel));
+            let speckle = self.view.speckle.map_or(1.0, |speckle| {
+                speckle.intensity(self.view.camera.screen(sample.pixel))
+            });
             shadow_rays[count] = shadow_ray;
             let irradiance = radiance * sample.solid_angle * speckle * per_sample;
             lit[count] = (sample.pixel.x as usize, irradiance);

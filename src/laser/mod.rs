@@ -10,7 +10,7 @@ mod line;
 pub use beam::Beam;
 pub use line::{Fan, FanProfile};
 
-use crate::math::{DVec2, DVec3};
+use crate::math::{DMat3, DVec2, DVec3};
 
 /// Light of the laser at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,6 +31,14 @@ pub struct Laser {
     pub fan: Option<Fan>,
 }
 
+/// The wave at a point: it travels along `direction` (unit), and
+/// `curvature_per_mm` = ∂(direction)/∂x (symmetric) is 1/R along its axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wavefront {
+    pub direction: DVec3,
+    pub curvature_per_mm: DMat3,
+}
+
 /// Where light is taken to end, in beam radii from the axis or sheet: there the
 /// irradiance is e⁻³² = 1.3e-14 of its maximum, which no exposure short of 1e9
 /// times saturation can show.
@@ -43,6 +51,28 @@ impl Laser {
         match &self.fan {
             None => self.beam.round(p),
             Some(fan) => fan.sheet(&self.beam, p),
+        }
+    }
+
+    /// Wavefront on the axis or the sheet at the point of it nearest to `p`: 1/R(z)
+    /// = z/(z² + z_R²) across (Siegman 1986, ch. 17; zero at the waist), and 1/ρ
+    /// along the line of a fan.
+    pub fn wavefront(&self, p: DVec3) -> Wavefront {
+        let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
+        if self.fan.is_none() {
+            let bend = self.beam.relative_slope(p.z);
+            return Wavefront {
+                direction: DVec3::Z,
+                curvature_per_mm: (outer(DVec3::X) + outer(DVec3::Y)) * bend,
+            };
+        }
+        let rho = p.x.hypot(p.z);
+        let direction = DVec3::new(p.x / rho, 0.0, p.z / rho);
+        let bend = self.beam.relative_slope(rho);
+        Wavefront {
+            direction,
+            curvature_per_mm: outer(DVec3::Y.cross(direction)) * rho.recip()
+                + outer(DVec3::Y) * bend,
         }
     }
 

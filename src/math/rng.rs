@@ -9,6 +9,8 @@
 pub enum Purpose {
     SpecklePattern = 1,
     SensorNoise = 2,
+    WaveScatterers = 3,
+    Bootstrap = 4,
 }
 
 /// Stafford's mix 13 of the 64-bit finaliser (the output function of

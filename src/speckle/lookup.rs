@@ -1,20 +1,13 @@
 //! Reading speckle: the intensity at (s, t, u), wrapping in all three.
 
-use super::pattern::{Pattern, PatternSpec};
-use super::slices::{Link, PATH_RADIUS, Slices};
+pub use super::coordinate::Coordinate;
+use super::fixed::Fixed;
+use super::pattern::{PatternSpec, refuse};
+use super::slices::Slices;
+use super::texture::Texture;
 use crate::error::Result;
-use crate::math::DVec2;
-use rayon::prelude::*;
-use rustfft::num_complex::Complex32;
+use glam::{Vec4, Vec4Swizzles};
 use serde::{Deserialize, Serialize};
-
-/// Where a pattern is read: s and t in texels, u in slices; finite. All wrap.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Coordinate {
-    pub s: f64,
-    pub t: f64,
-    pub u: f64,
-}
 
 /// How the pattern is interpolated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -25,206 +18,273 @@ pub enum Method {
     /// Complex field, linear in s, t and u, divided by the variance the blend
     /// leaves.
     Field,
+    /// Intensity integrated over the pixel beforehand.
+    Prefiltered {
+        /// Pixel pitch over minimal speckle size, p/h.
+        q: f64,
+    },
+}
+
+impl Method {
+    /// Floats per texel.
+    pub(super) fn channels(&self) -> usize {
+        match self {
+            Method::Trilinear => 1,
+            Method::Field | Method::Prefiltered { .. } => 2,
+        }
+    }
+
+    fn validate(&self, spec: &PatternSpec) -> Result<()> {
+        let most = spec.pupil_width() / 4.0;
+        match *self {
+            Method::Prefiltered { q } if !(q >= 0.5 && q <= most) => refuse(
+                "prefiltered pixel, in speckles",
+                q.to_string(),
+                &format!("a number from 0.5 to {most}"),
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What lowers the contrast of the light itself.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Coherence {
+    /// Degree of polarisation 𝒫 of the light on the sensor, 0 to 1.
+    pub polarisation_degree: f64,
+    /// Number of independent patterns of equal power (wavelengths, sources).
+    pub independent_patterns: usize,
+}
+
+impl Coherence {
+    /// One wavelength, polarised: contrast 1.
+    pub const FULL: Coherence = Coherence {
+        polarisation_degree: 1.0,
+        independent_patterns: 1,
+    };
+
+    /// C = √((1 + 𝒫²)/2N) (Goodman 2007, sections 3.4 and 3.3).
+    pub fn contrast(&self) -> f64 {
+        let p = self.polarisation_degree;
+        ((1.0 + p * p) / (2.0 * self.independent_patterns as f64)).sqrt()
+    }
+
+    fn validate(&self) -> Result<()> {
+        let p = self.polarisation_degree;
+        if !(0.0..=1.0).contains(&p) {
+            return refuse("polarisation_degree", p.to_string(), "a number in [0, 1]");
+        }
+        let n = self.independent_patterns;
+        if !(1..=64).contains(&n) {
+            return refuse(
+                "independent_patterns",
+                n.to_string(),
+                "a number from 1 to 64",
+            );
+        }
+        Ok(())
+    }
+
+    /// The patterns that add up to this light: N times two orthogonal
+    /// polarisations of powers (1 ± 𝒫)/2N. They are the stored pattern read
+    /// far apart: at steps of a low-discrepancy lattice in (s,t) (Roberts
+    /// 2018) and evenly round the path in u. At one place and time they are
+    /// independent; the sum repeats, at 1/n of its variance, at the distances
+    /// between them, as every pattern does at its period.
+    fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
+        let n = self.independent_patterns;
+        let p = self.polarisation_degree;
+        let powers = [(1.0 + p) / 2.0, (1.0 - p) / 2.0];
+        let powers = (0..n).flat_map(|_| powers).filter(|power| *power > 0.0);
+        let powers: Vec<f64> = powers.collect();
+        let count = powers.len();
+        let texels = |share: f64| (spec.size as f64 * share.fract()).round();
+        powers
+            .into_iter()
+            .enumerate()
+            .map(|(j, power)| Layer {
+                weight: (power / n as f64) as f32,
+                offset: Coordinate {
+                    s: texels(0.754_877_666_246_693 * j as f64),
+                    t: texels(0.569_840_290_998_053 * j as f64),
+                    u: (spec.slices * j / count) as f64,
+                },
+            })
+            .collect()
+    }
+}
+
+/// One of the independent patterns of a [`Coherence`].
+struct Layer {
+    weight: f32,
+    offset: Coordinate,
 }
 
 /// Interpolated speckle patterns, in memory.
 pub struct Lookup {
-    slices_mask: usize,
-    size_mask: usize,
-    /// Floats per slice and per row of the stored texels.
-    slice_stride: usize,
-    row_stride: usize,
+    method: Method,
+    /// The first layer lies where it is asked for.
+    first_weight: f32,
+    further_layers: Vec<Layer>,
     slices_per_diameter: f64,
+    size_mask: usize,
+    slices_mask: usize,
     texture: Texture,
-}
-
-enum Texture {
-    Intensity(Vec<f32>),
-    Field {
-        /// Real and imaginary parts in turn.
-        texels: Vec<f32>,
-        blends: Vec<Blend>,
-        lost: [f32; 3],
-    },
-}
-
-/// A [`Link`] in the units the hot loop needs.
-#[derive(Clone, Copy)]
-struct Blend {
-    /// Phase of the next slice against this one, turns per texel.
-    turns: [f32; 2],
-    /// 1 − μ.
-    novelty: f32,
 }
 
 impl Lookup {
     /// Makes the slices of `spec` and stores them for `method`.
-    pub fn new(spec: &PatternSpec, method: Method) -> Result<Lookup> {
+    pub fn new(spec: &PatternSpec, method: Method, coherence: Coherence) -> Result<Lookup> {
         spec.validate()?;
+        method.validate(spec)?;
+        coherence.validate()?;
         let slices = Slices::new(spec);
-        let channels = match method {
-            Method::Trilinear => 1,
-            Method::Field => 2,
-        };
-        // One more row and column than the period, so that the second tap
-        // never wraps.
-        let row_stride = channels * (spec.size + 1);
-        let slice_stride = row_stride * (spec.size + 1);
-        let mut texels = vec![0.0; slice_stride * spec.slices];
-        texels
-            .par_chunks_exact_mut(slice_stride)
-            .enumerate()
-            .for_each(|(k, out)| {
-                let pattern = slices.pattern(k);
-                match method {
-                    Method::Trilinear => store(out, &pattern, |a| [a.norm_sqr()]),
-                    Method::Field => store(out, &pattern, |a| [a.re, a.im]),
-                }
-            });
-        let texture = match method {
-            Method::Trilinear => Texture::Intensity(texels),
-            Method::Field => Texture::Field {
-                texels,
-                blends: (0..spec.slices)
-                    .map(|k| Blend::new(slices.link(k), spec.size))
-                    .collect(),
-                lost: lost_variance(spec),
-            },
-        };
+        let mut layers = coherence.layers(spec);
         Ok(Lookup {
-            slices_mask: spec.slices - 1,
+            method,
+            first_weight: layers.remove(0).weight,
+            further_layers: layers,
             size_mask: spec.size - 1,
-            slice_stride,
-            row_stride,
-            slices_per_diameter: spec.slices as f64 / (std::f64::consts::TAU * PATH_RADIUS),
-            texture,
+            slices_mask: spec.slices - 1,
+            slices_per_diameter: slices.per_diameter(),
+            texture: Texture::new(spec, &slices, method),
         })
     }
-}
 
-impl Lookup {
-    /// Slices per pupil diameter travelled by the speckle field across the
-    /// pupil: `u = slices_per_diameter · δ`.
+    /// Slices per pupil diameter the speckle field travels across the pupil:
+    /// u = `slices_per_diameter` · δ. See [`super::slices`] for what follows
+    /// from the path being curved.
     pub fn slices_per_diameter(&self) -> f64 {
         self.slices_per_diameter
     }
 
+    /// Bytes the patterns take.
+    pub fn memory(&self) -> usize {
+        size_of_val(&self.texture.texels[..])
+    }
+
     /// Speckle intensity, mean 1.
-    #[inline]
+    #[inline(always)]
     pub fn intensity(&self, at: Coordinate) -> f32 {
-        let (s, fs) = wrap(at.s, self.size_mask);
-        let (t, ft) = wrap(at.t, self.size_mask);
-        let (k, w) = wrap(at.u, self.slices_mask);
-        let next = (k + 1) & self.slices_mask;
-        match &self.texture {
-            Texture::Intensity(texels) => {
-                let corner = t * self.row_stride + s;
-                let read = |k: usize| {
-                    let [a, b] = self.rows::<2>(texels, k * self.slice_stride + corner);
-                    mix(mix(a[0], a[1], fs), mix(b[0], b[1], fs), ft)
-                };
-                mix(read(k), read(next), w)
-            }
-            Texture::Field {
-                texels,
-                blends,
-                lost,
-            } => {
-                let corner = t * self.row_stride + 2 * s;
-                let read = |k: usize| {
-                    let [a, b] = self.rows::<4>(texels, k * self.slice_stride + corner);
-                    let column: [f32; 4] = std::array::from_fn(|i| mix(a[i], b[i], ft));
-                    Complex32::new(mix(column[0], column[2], fs), mix(column[1], column[3], fs))
-                };
-                let blend = blends[k];
-                let turns = blend.turns[0] * (s as f32 + fs) + blend.turns[1] * (t as f32 + ft);
-                let field = read(k) * (1.0 - w) + read(next) * unit_phasor(turns) * w;
-                let variance =
-                    kept_variance(lost, fs, ft) * (1.0 - 2.0 * w * (1.0 - w) * blend.novelty);
-                field.norm_sqr() / variance
-            }
+        let mut sum = self.first_weight * self.layer(at);
+        for Layer { weight, offset } in &self.further_layers {
+            sum += weight
+                * self.layer(Coordinate {
+                    s: at.s + offset.s,
+                    t: at.t + offset.t,
+                    u: at.u + offset.u,
+                });
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn layer(&self, at: Coordinate) -> f32 {
+        match self.method {
+            Method::Trilinear => self.trilinear(at),
+            Method::Field => self.field(at),
+            Method::Prefiltered { .. } => self.prefiltered(at),
         }
     }
 
-    /// The `L` floats from `corner` on and those one row further.
-    #[inline]
-    fn rows<const L: usize>(&self, texels: &[f32], corner: usize) -> [[f32; L]; 2] {
-        [corner, corner + self.row_stride]
-            .map(|start| std::array::from_fn(|i| texels[start..start + L][i]))
+    #[inline(always)]
+    fn trilinear(&self, at: Coordinate) -> f32 {
+        let cell = self.cell(at, 1);
+        let read = |corner| {
+            let [top, bottom] = self.texture.rows::<2>(corner);
+            let left = top[0] + cell.ft * (bottom[0] - top[0]);
+            let right = top[1] + cell.ft * (bottom[1] - top[1]);
+            left + cell.fs * (right - left)
+        };
+        let (a, b) = (read(cell.here), read(cell.next));
+        a + cell.w * (b - a)
     }
-}
 
-impl Blend {
-    fn new(link: Link, size: usize) -> Blend {
-        Blend {
-            turns: link.shift.map(|shift| shift as f32 / size as f32),
-            novelty: (1.0 - link.correlation) as f32,
+    #[inline(always)]
+    fn field(&self, at: Coordinate) -> f32 {
+        let cell = self.cell(at, 2);
+        let w = cell.w;
+        let link = &self.texture.links[cell.slice];
+        let turn = w * self.texture.phases.at(link, cell.s, cell.t);
+
+        // What the three blends left of the variance. Divided here, while the
+        // taps are still on their way, not at the end.
+        let f = Vec4::new(cell.fs, cell.ft, w, 0.0);
+        let kept = Vec4::ONE - f * (Vec4::ONE - f) * link.lost;
+        let gain = 1.0 / (kept.x * kept.y * kept.z);
+
+        let [this, next] = self.columns(cell);
+        let blended = fold((1.0 - w) * this + next * turn.xxxx() + next.yxwz() * turn.zwzw());
+        let power = blended * blended;
+        (power.x + power.y) * gain
+    }
+
+    #[inline(always)]
+    fn prefiltered(&self, at: Coordinate) -> f32 {
+        let cell = self.cell(at, 2);
+        let (v, w) = (1.0 - cell.w, cell.w);
+        let gain = 1.0 / (1.0 - w * v * self.texture.links[cell.slice].lost.z);
+        let [this, next] = self.columns(cell).map(fold);
+        let sum = v * v * this.x + 2.0 * v * w * this.y + w * w * next.x;
+        // Undoing the interpolation's blur can overshoot below zero in a dark
+        // grain.
+        sum.max(0.0) * gain
+    }
+
+    /// Two channels of the slice and of the next, their four taps weighted but
+    /// only added by column: left in x and y, right in z and w.
+    #[inline(always)]
+    fn columns(&self, cell: Cell) -> [Vec4; 2] {
+        const LEFT: Vec4 = Vec4::new(1.0, 1.0, 0.0, 0.0);
+        const SIGN: Vec4 = Vec4::new(-1.0, -1.0, 1.0, 1.0);
+        let columns = LEFT + cell.fs * SIGN;
+        let lower = cell.ft * columns;
+        let upper = columns - lower;
+        [cell.here, cell.next].map(|corner| {
+            let [top, bottom] = self.texture.rows::<4>(corner);
+            upper * Vec4::from_array(*top) + lower * Vec4::from_array(*bottom)
+        })
+    }
+
+    #[inline(always)]
+    fn cell(&self, at: Coordinate, channels: usize) -> Cell {
+        let [s, t, u] = [at.s, at.t, at.u].map(Fixed::new);
+        let slice = u.index(self.slices_mask);
+        let next = (slice + 1) & self.slices_mask;
+        let row = t.index(self.size_mask) * self.texture.row_stride;
+        let texel = row + channels * s.index(self.size_mask);
+        Cell {
+            slice,
+            here: slice * self.texture.slice_stride + texel,
+            next: next * self.texture.slice_stride + texel,
+            fs: s.fraction(),
+            ft: t.fraction(),
+            w: u.fraction(),
+            s,
+            t,
         }
     }
 }
 
-/// Copies a pattern into its padded place.
-fn store<const C: usize>(
-    out: &mut [f32],
-    pattern: &Pattern,
-    texel: impl Fn(Complex32) -> [f32; C],
-) {
-    let size = pattern.size;
-    let rows = (0..=size).map(|t| t % size);
-    for (row, t) in out.chunks_exact_mut(C * (size + 1)).zip(rows) {
-        let line = &pattern.field[t * size..][..size];
-        for (value, &amplitude) in row.chunks_exact_mut(C).zip(line.iter().chain(&line[..1])) {
-            value.copy_from_slice(&texel(amplitude));
-        }
-    }
+/// Where a coordinate lies among the texels.
+#[derive(Clone, Copy)]
+struct Cell {
+    slice: usize,
+    /// First tap in this slice and in the next.
+    here: usize,
+    next: usize,
+    /// Fractions towards the next column, row and slice.
+    fs: f32,
+    ft: f32,
+    w: f32,
+    s: Fixed,
+    t: Fixed,
 }
 
-/// What linear interpolation takes from the variance of the field: with p =
-/// 2f(1−f) the chance that two taps drawn by weight differ in column, and r
-/// in row, the variance left is 1 − a·p − b·r + c·p·r.
-fn lost_variance(spec: &PatternSpec) -> [f32; 3] {
-    let mu = |x: f64, y: f64| {
-        let lag = DVec2::new(x, y) / spec.texels_per_speckle;
-        spec.aperture.field_correlation(lag)
-    };
-    let (column, row, both) = (mu(1.0, 0.0), mu(0.0, 1.0), mu(1.0, 1.0));
-    [1.0 - column, 1.0 - row, 1.0 - column - row + both].map(|x| x as f32)
-}
-
-#[inline]
-fn kept_variance(lost: &[f32; 3], fs: f32, ft: f32) -> f32 {
-    let p = 2.0 * fs * (1.0 - fs);
-    let r = 2.0 * ft * (1.0 - ft);
-    1.0 - lost[0] * p - lost[1] * r + lost[2] * p * r
-}
-
-/// Index modulo the period `mask + 1`, and the fraction past it.
-#[inline]
-fn wrap(x: f64, mask: usize) -> (usize, f32) {
-    // Cast and correct instead of `floor`, which is a call on baseline x86-64.
-    let cut = x as i64;
-    let whole = cut - (cut as f64 > x) as i64;
-    (whole as usize & mask, (x - whole as f64) as f32)
-}
-
-#[inline]
-fn mix(a: f32, b: f32, w: f32) -> f32 {
-    a + w * (b - a)
-}
-
-/// exp(2πi·turns), to 1e-5 in single precision: Taylor series of sine and cosine at half the
-/// angle, then doubled.
-#[inline]
-fn unit_phasor(turns: f32) -> Complex32 {
-    let nearest = (turns + 0.5f32.copysign(turns)) as i32 as f32;
-    let x = std::f32::consts::PI * (turns - nearest);
-    let y = x * x;
-    let sin = x
-        * (1.0
-            - y / 6.0 * (1.0 - y / 20.0 * (1.0 - y / 42.0 * (1.0 - y / 72.0 * (1.0 - y / 110.0)))));
-    let cos =
-        1.0 - y / 2.0 * (1.0 - y / 12.0 * (1.0 - y / 30.0 * (1.0 - y / 56.0 * (1.0 - y / 90.0))));
-    Complex32::new(1.0 - 2.0 * sin * sin, 2.0 * sin * cos)
+/// Sum of left and right column, in x and y.
+#[inline(always)]
+fn fold(columns: Vec4) -> Vec4 {
+    columns + columns.zwzw()
 }
 
 #[cfg(test)]
@@ -240,26 +300,13 @@ mod tests {
         seed: 5,
     };
 
-    #[test]
-    fn phasors_are_on_the_circle_at_the_right_angle() {
-        for i in -4000..=4000 {
-            let turns = i as f32 * 0.00321;
-            let (sin, cos) = (std::f64::consts::TAU * turns as f64).sin_cos();
-            let z = unit_phasor(turns);
-            assert!(
-                (z.re as f64 - cos).abs() < 1e-5 && (z.im as f64 - sin).abs() < 1e-5,
-                "{turns}"
-            );
-        }
-    }
-
     /// At texels and slices every method gives the pattern itself; a period
     /// further, before zero too, the same.
     #[test]
     fn whole_coordinates_read_the_pattern_and_wrap() {
         let slices = Slices::new(&SPEC);
         for method in [Method::Trilinear, Method::Field] {
-            let lookup = Lookup::new(&SPEC, method).unwrap();
+            let lookup = Lookup::new(&SPEC, method, Coherence::FULL).unwrap();
             for (k, s, t) in [(0, 0, 0), (3, 17, 200), (15, 255, 255)] {
                 let stored = slices.pattern(k).field[t * SPEC.size + s].norm_sqr();
                 let at = |n: f64| Coordinate {
@@ -283,7 +330,7 @@ mod tests {
     #[test]
     fn intensity_is_continuous_across_texels_slices_and_wraps() {
         for method in [Method::Trilinear, Method::Field] {
-            let lookup = Lookup::new(&SPEC, method).unwrap();
+            let lookup = Lookup::new(&SPEC, method, Coherence::FULL).unwrap();
             for i in 0..256 {
                 let base = [i as f64, 3.3 + i as f64 * 0.37, 0.25 + i as f64 * 0.0613];
                 for axis in 0..3 {
@@ -295,7 +342,7 @@ mod tests {
                     let [a, b] =
                         [below, above].map(|[s, t, u]| lookup.intensity(Coordinate { s, t, u }));
                     assert!(
-                        (a - b).abs() < 1e-4,
+                        (a - b).abs() < 5e-5 * (1.0 + a),
                         "{method:?} axis {axis} at {base:?}: {a} {b}"
                     );
                 }

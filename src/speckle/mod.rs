@@ -1,6 +1,25 @@
-//! Subjective laser speckle, read from precomputed patterns.
+//! Subjective laser speckle.
+//!
+//! `pattern` makes one pattern, `slices` a closed ring of correlated ones,
+//! `texture` stores them, `lookup` reads them at a `coordinate`; `theory` has
+//! the closed forms. `motion` says where to read as laser, part and camera
+//! move, `anchor` does so for a scan. `wave*` is the slow wave-optics
+//! reference that all of it is measured against.
 
+pub mod anchor;
+pub mod coordinate;
+mod fixed;
 pub mod lookup;
+pub mod motion;
 pub mod pattern;
 pub mod slices;
+mod spectrum;
+mod texture;
 pub mod theory;
+pub mod wave;
+pub mod wave_cases;
+pub mod wave_centroid;
+pub mod wave_correlation;
+pub mod wave_motion;
+pub mod wave_patch;
+pub mod wave_plot;

@@ -77,11 +77,6 @@ impl PatternSpec {
     /// Refuses a spec no pattern can be made from, saying what was found and
     /// what was expected.
     pub fn validate(&self) -> Result<()> {
-        let refuse = |key: &str, found: String, expected: &str| {
-            Err(Error::Usage(format!(
-                "speckle {key}: found {found}, expected {expected}"
-            )))
-        };
         let height = self.pupil_width() * self.aperture.ratio();
         let ratio = self.aperture.ratio();
         if !self.size.is_power_of_two() || !(64..=8192).contains(&self.size) {
@@ -108,6 +103,12 @@ impl PatternSpec {
         }
         Ok(())
     }
+}
+
+pub(super) fn refuse(key: &str, found: String, expected: &str) -> Result<()> {
+    Err(Error::Usage(format!(
+        "speckle {key}: found {found}, expected {expected}"
+    )))
 }
 
 /// Complex speckle field over one period, N × N, row t, column s.

@@ -2,14 +2,9 @@
 //! phasors, so that neighbouring patterns share most of it and opposite ones
 //! nothing.
 
-use super::pattern::{Pattern, PatternSpec, PhasorPlane};
+use super::pattern::{Aperture, Pattern, PatternSpec, PhasorPlane};
 use crate::math::DVec2;
-use std::f64::consts::TAU;
-
-/// Radius of the path in pupil widths. Opposite pupils are 1.5 widths apart:
-/// disjoint for a circle (needs 1) and for a square moved along its diagonal
-/// (needs √2).
-pub const PATH_RADIUS: f64 = 0.75;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 /// The patterns along the path, made on demand; slice k stands at the angle
 /// 2πk/S.
@@ -18,14 +13,13 @@ pub struct Slices {
     plane: PhasorPlane,
 }
 
-/// How a slice relates to the next one.
-#[derive(Debug, Clone, Copy)]
-pub struct Link {
-    /// Carrier of the next slice minus that of this one, texels of the plane:
-    /// its field, seen in this slice's band, is field·exp(2πi·shift·(s,t)/N).
-    pub shift: [i64; 2],
-    /// Field correlation μ of the two slices.
-    pub correlation: f64,
+/// Radius of the path in pupil widths: the least that parts opposite pupils,
+/// which for a square slid along its diagonal takes √2 widths.
+fn path_radius(aperture: Aperture) -> f64 {
+    match aperture {
+        Aperture::Circle | Aperture::Ellipse { .. } => 0.5,
+        Aperture::Square => FRAC_1_SQRT_2,
+    }
 }
 
 impl Slices {
@@ -40,7 +34,8 @@ impl Slices {
     /// Centre of slice k from the middle of the path, in pupil widths along x
     /// and heights along y.
     fn position(&self, k: usize) -> DVec2 {
-        PATH_RADIUS * DVec2::from_angle(TAU * k as f64 / self.spec.slices as f64)
+        path_radius(self.spec.aperture)
+            * DVec2::from_angle(TAU * k as f64 / self.spec.slices as f64)
     }
 
     /// Centre of slice k, texels of the plane.
@@ -51,18 +46,25 @@ impl Slices {
 
     /// The pattern of slice k (modulo the number of slices).
     pub fn pattern(&self, k: usize) -> Pattern {
-        self.plane.pattern(self.centre(k))
+        self.plane.pattern(self.centre(k % self.spec.slices))
     }
 
-    pub fn link(&self, k: usize) -> Link {
-        let next = (k + 1) % self.spec.slices;
-        let (a, b) = (self.centre(k), self.centre(next));
-        let count = |p, q| self.plane.shared(p, q) as f64;
-        let shift = b.round() - a.round();
-        Link {
-            shift: [shift.x as i64, shift.y as i64],
-            correlation: count(a, b) / (count(a, a) * count(b, b)).sqrt(),
-        }
+    /// Field correlation μ of slice k and the next, of the finite pupils.
+    pub fn correlation_with_next(&self, k: usize) -> f64 {
+        let (a, b) = (self.centre(k), self.centre((k + 1) % self.spec.slices));
+        let shared = |p, q| self.plane.shared(p, q) as f64;
+        shared(a, b) / (shared(a, a) * shared(b, b)).sqrt()
+    }
+
+    /// Carrier of the next slice minus that of slice k, texels of the plane.
+    pub fn carrier_step(&self, k: usize) -> [i64; 2] {
+        let step = self.centre((k + 1) % self.spec.slices).round() - self.centre(k).round();
+        [step.x as i64, step.y as i64]
+    }
+
+    /// Slices per pupil diameter travelled along the path.
+    pub fn per_diameter(&self) -> f64 {
+        self.spec.slices as f64 / (TAU * path_radius(self.spec.aperture))
     }
 
     /// Intensity correlation γ = μ² of slices k and l by the overlap law, the

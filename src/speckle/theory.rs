@@ -46,7 +46,7 @@ fn jinc(r: f64) -> f64 {
 }
 
 /// sin(πr)/(πr), 1 at 0.
-fn sinc(r: f64) -> f64 {
+pub(super) fn sinc(r: f64) -> f64 {
     let x = std::f64::consts::PI * r;
     if x.abs() < 1e-6 { 1.0 } else { x.sin() / x }
 }

@@ -1,0 +1,220 @@
+//! The wave-optics reference: its own table of motions and line widths, and one
+//! patch of a scene.
+
+use super::simulation::{Simulation, surface_view};
+use super::{Control, files};
+use crate::accel::Ray;
+use crate::error::{Error, Result};
+use crate::inspect::picture::encode_for_eyes;
+use crate::math::rng::{Key, Purpose};
+use crate::math::{DVec2, DVec3};
+use crate::scene::Scene;
+use crate::speckle::motion::{Motion, SurfaceView};
+use crate::speckle::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field};
+use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
+use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise};
+use crate::speckle::wave_motion::{MotionCase, MotionRow, WaveSampling, measure_motions};
+use crate::speckle::wave_patch::{lit, patch_filling_view};
+use crate::speckle::wave_plot::{centroid_plot, motion_plot};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// How much to simulate.
+#[derive(Debug, Clone, Copy)]
+pub struct WaveEffort {
+    /// Independent rough surfaces a row.
+    pub realisations: u64,
+    pub seed: u64,
+}
+
+/// `wave.json`.
+#[derive(Debug, Serialize)]
+pub struct WaveSummary {
+    pub motions: Vec<MotionRow>,
+    /// Empty for a scene's patch.
+    pub centroids: Vec<CentroidRow>,
+    pub pictures: Vec<PathBuf>,
+}
+
+/// Width of the compared region of an image, grains.
+const REGION_GRAINS: f64 = 24.0;
+
+/// The reference motions and line widths, measured by waves beside what the
+/// pattern lookup predicts: `wave.json`, `motion.svg` and `centroid.svg`.
+pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Result<WaveSummary> {
+    files::create_folder(out)?;
+    let sampling = WaveSampling {
+        wavelength_mm: REFERENCE_WAVELENGTH_MM,
+        region_grains: REGION_GRAINS,
+        realisations: effort.realisations,
+        seed: effort.seed,
+    };
+    let motions = measured(&reference_cases(), &sampling, control)?;
+    let centroids = line_centroid_noise(&LineSetup {
+        wavelength_mm: REFERENCE_WAVELENGTH_MM,
+        distance: 300.0,
+        pupil_diameter: 10.0,
+        widths_grains: vec![0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0],
+        realisations: effort.realisations,
+        seed: effort.seed,
+    })?;
+    let summary = WaveSummary {
+        pictures: vec![out.join("motion.svg"), out.join("centroid.svg")],
+        motions,
+        centroids,
+    };
+    files::write_bytes(
+        &summary.pictures[0],
+        motion_plot(&summary.motions).as_bytes(),
+    )?;
+    files::write_bytes(
+        &summary.pictures[1],
+        centroid_plot(&summary.centroids).as_bytes(),
+    )?;
+    files::write_json(&out.join("wave.json"), &summary)?;
+    Ok(summary)
+}
+
+/// The patch on which the laser's axis falls in a frame: its coherent image,
+/// `patch.png`, and what one, two and four steps of the scan do to its speckle,
+/// `motion.svg`; all numbers in `wave.json`.
+pub fn wave_patch(
+    scene: &Scene,
+    frame: u32,
+    effort: WaveEffort,
+    out: &Path,
+    control: &Control,
+) -> Result<WaveSummary> {
+    super::check_frame(scene, frame)?;
+    files::create_folder(out)?;
+    let view = patch_view(scene, frame)?;
+    let cases = [1.0, 2.0, 4.0].map(|steps| MotionCase {
+        name: format!("{steps} steps of the scan"),
+        view,
+        motion: Motion {
+            part: -scene.scan.step * steps,
+            ..Motion::default()
+        },
+    });
+    let sampling = WaveSampling {
+        wavelength_mm: scene.laser.beam.wavelength,
+        region_grains: REGION_GRAINS,
+        realisations: effort.realisations,
+        seed: effort.seed,
+    };
+    let motions = measured(&cases, &sampling, control)?;
+    let image = line_image(scene, &view, effort.seed)?;
+    let summary = WaveSummary {
+        motions,
+        centroids: Vec::new(),
+        pictures: vec![out.join("patch.png"), out.join("motion.svg")],
+    };
+    let brightest = image.intensity.iter().copied().fold(0.0, f64::max);
+    // Rows from top to bottom; a black picture where there is no light.
+    let scale = 65535.0 / brightest.max(f64::MIN_POSITIVE);
+    let width = image.grid.pixels;
+    let counts: Vec<u16> = image
+        .intensity
+        .chunks(width)
+        .rev()
+        .flatten()
+        .map(|i| (i * scale) as u16)
+        .collect();
+    let png = encode_for_eyes(&counts, width, u16::MAX);
+    files::write_bytes(&summary.pictures[0], &png)?;
+    files::write_bytes(
+        &summary.pictures[1],
+        motion_plot(&summary.motions).as_bytes(),
+    )?;
+    files::write_json(&out.join("wave.json"), &summary)?;
+    Ok(summary)
+}
+
+fn measured(
+    cases: &[MotionCase],
+    sampling: &WaveSampling,
+    control: &Control,
+) -> Result<Vec<MotionRow>> {
+    let mut rows = Vec::new();
+    for (i, case) in cases.iter().enumerate() {
+        control.check()?;
+        // One by one for the progress; every row keeps its own surfaces.
+        let seed = sampling.seed.wrapping_add(i as u64);
+        let sampling = WaveSampling { seed, ..*sampling };
+        rows.extend(measure_motions(std::slice::from_ref(case), &sampling)?);
+        (control.progress)(i as u64 + 1);
+    }
+    Ok(rows)
+}
+
+/// Motions of the reference table: what its progress counts.
+pub fn reference_motions() -> usize {
+    reference_cases().len()
+}
+
+/// The scene's view of the surface on which the laser's axis falls, in the head's
+/// frame.
+fn patch_view(scene: &Scene, frame: u32) -> Result<SurfaceView> {
+    let simulation = Simulation::new(scene)?;
+    let laser = simulation.view(frame).part_from_laser;
+    let ray = Ray {
+        origin: laser.translation,
+        direction: laser.rotation.z_axis,
+        t_max: f64::INFINITY,
+    };
+    let hit = simulation.accel.closest(&[ray], |_, _| true)[0].ok_or_else(|| {
+        Error::Usage(format!(
+            "--frame {frame}: the axis of the laser meets no surface there"
+        ))
+    })?;
+    let head_from_part = scene.part_from_head(frame).inverse();
+    Ok(SurfaceView {
+        normal: head_from_part.vector(hit.normal),
+        ..surface_view(scene, Some(head_from_part.point(hit.point)))
+    })
+}
+
+/// Coherent image of the laser's light on the plane of `view`.
+fn line_image(scene: &Scene, view: &SurfaceView, seed: u64) -> Result<WaveImage> {
+    let ray = view.pupil_centre - view.point;
+    let length = ray.length();
+    let wavelength = scene.laser.beam.wavelength;
+    let grain = wavelength * length / view.pupil_diameter;
+    let right = (view.image_x - ray * (view.image_x.dot(ray) / ray.length_squared())).normalize();
+    let up = (ray / length).cross(right);
+    let laser_from_head = scene.head_from_laser.inverse();
+    let width = scene
+        .laser
+        .beam
+        .radius(laser_from_head.point(view.point).length());
+    // The light and eight grains of the lens's wings, in a window of 40 at least.
+    let window = (4.0 * width + 8.0 * grain).max(40.0 * grain);
+    let pixels = (window / grain * 8.0 / 16.0).ceil() as usize * 16;
+    let grid = ImageGrid {
+        pixels,
+        pixel_mm: window / pixels as f64,
+        focus_distance: length,
+    };
+    let points = patch_filling_view(
+        view.point,
+        view.normal,
+        [right, up],
+        DVec2::splat(window),
+        DVec2::splat(grain / 8f64.sqrt()),
+        2.0 * wavelength,
+    )
+    .points(Key::new(seed, Purpose::WaveScatterers));
+    let irradiance = |p: DVec3| {
+        let light = scene.laser.at(laser_from_head.point(p));
+        light.map_or(0.0, |light| light.flux.length())
+    };
+    let scatterers = lit(&points, &view.source, view.point, irradiance);
+    let pupil = Pupil {
+        centre: view.pupil_centre,
+        right,
+        up,
+        diameter: view.pupil_diameter,
+    };
+    let field = pupil_field(&scatterers, &pupil, wavelength, &grid)?;
+    Ok(intensity_at_focus(&field, &grid))
+}

@@ -1,0 +1,101 @@
+use super::{Output, STOP};
+use crate::batch::{self, Control, WaveEffort, WaveSummary};
+use crate::error::Result;
+use crate::scene::Scene;
+use crate::speckle::wave_correlation::Estimate;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene whose patch under the laser is simulated [default: the reference
+    /// motions and line widths]
+    scene: Option<PathBuf>,
+    /// Frame of the scan, from 0
+    #[arg(long, value_name = "K", default_value_t = 0, requires = "scene")]
+    frame: u32,
+    /// Independent rough surfaces per row, 2 or more; error bars shrink as 1/√N
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u64).range(2..100_000))]
+    realisations: u64,
+    /// Seed of the surfaces
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let effort = WaveEffort {
+        realisations: arguments.realisations,
+        seed: arguments.seed,
+    };
+    let scene = arguments.scene.as_deref().map(Scene::load).transpose()?;
+    let rows = scene.as_ref().map_or(batch::reference_motions(), |_| 3);
+    let bar = output.progress(rows as u64, "motions");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        stop: &STOP,
+    };
+    let summary = match &scene {
+        Some(scene) => {
+            batch::wave_patch(scene, arguments.frame, effort, &arguments.output, &control)
+        }
+        None => batch::wave_reference(effort, &arguments.output, &control),
+    };
+    bar.finish_and_clear();
+    let summary = summary?;
+    output.result(&summary, &text(&summary))
+}
+
+fn text(summary: &WaveSummary) -> String {
+    let mut text = format!(
+        "{:<34} {:>6} {:>6} {:>21} {:>18} {:>24}\n",
+        "motion", "δ", "γ law", "γ waves (95 %)", "moves, predicted", "waves, µm (95 %: ±)"
+    );
+    for row in &summary.motions {
+        let gamma = row.waves.gamma;
+        // Patterns that share nothing have no displacement to measure.
+        let measured = row.waves.displacement.map_or("–".into(), |[x, y]| {
+            let half = |e: Estimate| (e.high - e.low) / 2.0 * 1e3;
+            format!(
+                "{:>8.1} {:>8.1} (±{:.1}, ±{:.1})",
+                x.value * 1e3,
+                y.value * 1e3,
+                half(x),
+                half(y)
+            )
+        });
+        let _ = writeln!(
+            text,
+            "{:<34} {:>6.3} {:>6.3} {:>7.3} ({:.3}–{:.3}) {:>8.1} {:>8.1} {measured}",
+            row.name,
+            row.delta,
+            row.gamma_defocused,
+            gamma.value,
+            gamma.low,
+            gamma.high,
+            row.displacement_um[0],
+            row.displacement_um[1],
+        );
+    }
+    if !summary.centroids.is_empty() {
+        let _ = writeln!(
+            text,
+            "\n{:>10} {:>10} {:>26}   centroid noise in grains, by line width w/h",
+            "w/h", "law", "waves (95 %)"
+        );
+    }
+    for row in &summary.centroids {
+        let e = row.waves_bright;
+        let _ = writeln!(
+            text,
+            "{:>10.2} {:>10.3} {:>10.3} ({:.3}–{:.3})",
+            row.width, row.law, e.value, e.low, e.high
+        );
+    }
+    for picture in &summary.pictures {
+        let _ = writeln!(text, "{}", picture.display());
+    }
+    text
+}
