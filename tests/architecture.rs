@@ -150,6 +150,7 @@ fn who_speaks_or_locks_out_of_turn_is_found() {
     let speech = "fn f() {\n    eprintln!(\"{}\", 1);\n}\n";
     assert_found("src/batch/scan.rs", speech, ":2: eprintln!");
     assert_eq!(violations("src/cli/scan.rs", speech), [""; 0]);
+    assert_eq!(violations("src/batch/scan/tests.rs", speech), [""; 0]);
     assert_found(
         "src/inspect/mod.rs",
         "fn f() { std::process::exit(1) }",

@@ -14,8 +14,23 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Errors: text that is not TOML.
-    pub fn parse(file: &Path, text: String) -> Result<Source, Error> {
+    /// Errors: a file that cannot be read, is no regular file, or is not TOML.
+    pub fn read(path: &Path) -> Result<Source, Error> {
+        let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
+        if !kind.is_file() {
+            // A pipe may never end.
+            let found = "something that is not a regular file";
+            return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
+        }
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
+            InputError::new(path, place, "bytes that are not UTF-8", "TOML text")
+        })?;
+        Source::parse(path, text)
+    }
+
+    fn parse(file: &Path, text: String) -> Result<Source, Error> {
         let mut source = Source {
             file: file.to_owned(),
             text,

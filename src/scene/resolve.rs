@@ -3,7 +3,7 @@
 use super::file::{CameraTable, LaserTable, PartTable, ProfileName, SceneFile, Unit};
 use super::locate::Source;
 use crate::camera::{Camera, Lens, Noise, Sensor};
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
@@ -44,7 +44,7 @@ pub struct Scene {
 impl Scene {
     /// Reads and validates a scene file and the mesh it names.
     pub fn load(path: &Path) -> Result<Scene> {
-        let source = Source::parse(path, read(path)?)?;
+        let source = Source::read(path)?;
         let file: SceneFile =
             toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
         Resolver { source, path }.scene(file)
@@ -57,20 +57,6 @@ impl Scene {
     pub fn part_from_head(&self, frame: u32) -> Rigid {
         self.world_from_part.inverse() * self.world_from_head(frame)
     }
-}
-
-fn read(path: &Path) -> Result<String> {
-    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-    if !kind.is_file() {
-        // A pipe may never end.
-        let found = "something that is not a regular file";
-        return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
-    }
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    String::from_utf8(bytes).map_err(|error| {
-        let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
-        InputError::new(path, place, "bytes that are not UTF-8", "TOML text").into()
-    })
 }
 
 struct Resolver<'a> {

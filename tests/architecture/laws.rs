@@ -306,7 +306,9 @@ fn speech_violations(path: &str, code: &str) -> Vec<String> {
             }
         }
     };
-    if !["cli", "main"].contains(&room) {
+    // What a unit test prints, the harness catches.
+    let is_test = path.ends_with("/tests.rs") || path.ends_with("_tests.rs");
+    if !["cli", "main"].contains(&room) && !is_test {
         let speech = [
             "println!",
             "eprintln!",
