@@ -10,7 +10,8 @@ use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::scene::Scene;
-use lasertrace::speckle::lookup::{Lookup, Method};
+use lasertrace::speckle::coordinate::GrainMap;
+use lasertrace::speckle::lookup::{Coherence, Lookup, Method};
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use lasertrace::surface::Lambert;
 use std::path::{Path, PathBuf};
@@ -168,7 +169,7 @@ fn lookup() -> Lookup {
         slices: 8,
         seed: 1,
     };
-    Lookup::new(&spec, Method::Field).unwrap()
+    Lookup::new(&spec, Method::Field, Coherence::FULL).unwrap()
 }
 
 impl<'m> Part<'m> {
@@ -191,7 +192,9 @@ impl<'m> Part<'m> {
             part_from_camera: setup.part_from_camera,
             speckle: setup.speckle.then_some(Speckle {
                 lookup: self.lookup,
-                texels_per_pixel: 1.7,
+                map: GrainMap::new(4.0, 0.012, DVec2::new(1e-4, -2e-4)),
+                displacement: DVec2::new(0.3, -7.0),
+                slice: 5.7,
             }),
             samples_per_side: setup.samples_per_side,
         };
