@@ -308,7 +308,11 @@ mod tests {
         for method in [Method::Trilinear, Method::Field] {
             let lookup = Lookup::new(&SPEC, method, Coherence::FULL).unwrap();
             for (k, s, t) in [(0, 0, 0), (3, 17, 200), (15, 255, 255)] {
-                let stored = slices.pattern(k).field[t * SPEC.size + s].norm_sqr();
+                let pattern = match method {
+                    Method::Field => slices.sharpened(k),
+                    _ => slices.pattern(k),
+                };
+                let stored = pattern.field[t * SPEC.size + s].norm_sqr();
                 let at = |n: f64| Coordinate {
                     s: s as f64 + n * 256.0,
                     t: t as f64 - n * 256.0,

@@ -1,6 +1,7 @@
 //! One speckle pattern after Duncan & Kirkpatrick (2008): random unit phasors
 //! inside a pupil, Fourier transformed.
 
+use super::theory::sinc;
 use crate::error::{Error, Result};
 use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
@@ -190,6 +191,40 @@ impl PhasorPlane {
     /// period is 1 by Parseval. (Over a part of the period it fluctuates, as
     /// real speckle does over a finite detector.)
     pub fn pattern(&self, centre: DVec2) -> Pattern {
+        self.transform(centre, |_| 1.0)
+    }
+
+    /// The same with every phasor divided by the response sinc²(x/N)·sinc²(y/N)
+    /// of linear interpolation, so that the interpolated field has a pupil of
+    /// even transmission. (Without, grains of 4 texels come out 0.6 % too
+    /// contrasty after integration over a pixel as large as they.) Mean 1.
+    pub fn sharpened(&self, centre: DVec2) -> Pattern {
+        self.transform(centre, |offset| self.sharpening(offset))
+    }
+
+    fn sharpening(&self, offset: i64) -> f64 {
+        sinc(offset as f64 / self.spec.size as f64).powi(-2)
+    }
+
+    /// Correlation of sharpened fields one column apart and one row apart.
+    pub fn sharpened_correlations(&self) -> [f64; 2] {
+        let turn = std::f64::consts::TAU / self.spec.size as f64;
+        let mut sums = [0.0; 3];
+        for y in -self.reach()..=self.reach() {
+            for x in -self.reach()..=self.reach() {
+                if self.open(DVec2::ZERO, x, y) {
+                    let power = (self.sharpening(x) * self.sharpening(y)).powi(2);
+                    sums[0] += power * (turn * x as f64).cos();
+                    sums[1] += power * (turn * y as f64).cos();
+                    sums[2] += power;
+                }
+            }
+        }
+        [sums[0] / sums[2], sums[1] / sums[2]]
+    }
+
+    /// The pattern with phasors of amplitude weight(x − x₀)·weight(y − y₀).
+    fn transform(&self, centre: DVec2, weight: impl Fn(i64) -> f64) -> Pattern {
         let size = self.spec.size;
         let origin = carrier(centre);
         let reach = self.reach();
@@ -199,12 +234,14 @@ impl PhasorPlane {
         // columns are zero and stay so.
         let columns = (2 * reach + 1) as usize;
         let mut lines = vec![Complex32::ZERO; columns * size];
-        let mut phasors = 0;
+        let (mut phasors, mut power) = (0, 0f32);
         for (line, dx) in lines.chunks_exact_mut(size).zip(-reach..) {
             for dy in -reach..=reach {
                 let (x, y) = (origin[0] + dx, origin[1] + dy);
                 if self.open(centre, x, y) {
-                    line[wrap(dy)] = self.phasor(x, y);
+                    let amplitude = (weight(dx) * weight(dy)) as f32;
+                    line[wrap(dy)] = self.phasor(x, y) * amplitude;
+                    power += amplitude * amplitude;
                     phasors += 1;
                 }
             }
@@ -212,7 +249,7 @@ impl PhasorPlane {
         let mut scratch = vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()];
         self.fft.process_with_scratch(&mut lines, &mut scratch);
 
-        let scale = 1.0 / (phasors as f32).sqrt();
+        let scale = 1.0 / power.sqrt();
         let mut field = vec![Complex32::ZERO; size * size];
         // Eight rows at a time: one cache line of each column serves them all.
         for (block, rows) in field.chunks_exact_mut(8 * size).enumerate() {

@@ -43,9 +43,6 @@ pub struct Phases {
     shift: u32,
 }
 
-/// Slices made by one task: each pattern but the first of a run is made once.
-const RUN: usize = 8;
-
 impl Texture {
     /// `spec` and `method` must be valid.
     pub fn new(spec: &PatternSpec, slices: &Slices, method: Method) -> Texture {
@@ -53,25 +50,19 @@ impl Texture {
         let slice_stride = row_stride * (spec.size + 1);
         let mut texels = vec![0.0; slice_stride * spec.slices];
         let spectrum = Spectrum::new(spec.size);
+        let slice = |(k, out): (usize, &mut [f32])| match method {
+            Method::Trilinear => store(out, &slices.pattern(k).field, |a| [a.norm_sqr()]),
+            Method::Field => store(out, &slices.sharpened(k).field, |a| [a.re, a.im]),
+            Method::Prefiltered { q } => {
+                let mut terms = products(&slices.pattern(k), &slices.pattern(k + 1));
+                integrate(&mut terms, &spectrum, q * spec.texels_per_speckle);
+                store(out, &terms, |i| [i.re, i.im]);
+            }
+        };
         texels
-            .par_chunks_exact_mut(slice_stride * RUN)
+            .par_chunks_exact_mut(slice_stride)
             .enumerate()
-            .for_each(|(run, outs)| {
-                let mut pattern = slices.pattern(run * RUN);
-                for (out, k) in outs.chunks_exact_mut(slice_stride).zip(run * RUN..) {
-                    let next = slices.pattern(k + 1);
-                    match method {
-                        Method::Trilinear => store(out, &pattern.field, |a| [a.norm_sqr()]),
-                        Method::Field => store(out, &pattern.field, |a| [a.re, a.im]),
-                        Method::Prefiltered { q } => {
-                            let mut terms = products(&pattern, &next);
-                            integrate(&mut terms, &spectrum, q * spec.texels_per_speckle);
-                            store(out, &terms, |i| [i.re, i.im]);
-                        }
-                    }
-                    pattern = next;
-                }
-            });
+            .for_each(slice);
         Texture {
             row_stride,
             slice_stride,
@@ -130,18 +121,10 @@ impl Phases {
 
 fn links(spec: &PatternSpec, slices: &Slices) -> Vec<Link> {
     let lost = |mu: f64| (2.0 * (1.0 - mu)) as f32;
-    let texel = |x: f64, y: f64| {
-        let lag = DVec2::new(x, y) / spec.texels_per_speckle;
-        lost(spec.aperture.field_correlation(lag))
-    };
+    let [column, row] = slices.sharpened_correlations().map(lost);
     let link = |k| Link {
         turns: slices.carrier_step(k),
-        lost: Vec4::new(
-            texel(1.0, 0.0),
-            texel(0.0, 1.0),
-            lost(slices.correlation_with_next(k)),
-            0.0,
-        ),
+        lost: Vec4::new(column, row, lost(slices.correlation_with_next(k)), 0.0),
     };
     (0..spec.slices).map(link).collect()
 }
