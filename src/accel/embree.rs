@@ -282,15 +282,16 @@ impl<'m> Accel<'m> {
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
         unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
-        std::array::from_fn(|i| {
-            if packet.hit.geomID[i] == ffi::LT_NO_GEOMETRY {
-                return None;
+        let mut hits = [None; WIDTH];
+        for (i, (hit, ray)) in hits.iter_mut().zip(rays).enumerate() {
+            if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY {
+                let t = advanced[i] + packet.ray.tfar[i] as f64;
+                let triangle = packet.hit.primID[i];
+                let corners = self.mesh.triangle(triangle as usize);
+                *hit = refine(ray, triangle, corners, t, tolerance);
             }
-            let t = advanced[i] + packet.ray.tfar[i] as f64;
-            let triangle = packet.hit.primID[i];
-            let corners = self.mesh.triangle(triangle as usize);
-            refine(&rays[i], triangle, corners, t, tolerance)
-        })
+        }
+        hits
     }
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.

@@ -19,31 +19,40 @@ const DETECTION_COUNTS: f64 = 2.0;
 /// Gaussian loses 0.3 % of its light to it, symmetrically.
 const WINDOW_SIGMAS: f64 = 3.0;
 
+/// Columns that are gathered at once: a cache line of a row.
+const STRIP: usize = 32;
+
 /// The brightest peak of each column of a row-by-row image; columns without a
 /// line are left out.
 pub fn find_peaks(counts: &[u16], columns: usize) -> Vec<Peak> {
-    let mut column = Vec::with_capacity(counts.len() / columns);
-    (0..columns)
-        .filter_map(|i| {
-            column.clear();
-            column.extend(counts.iter().skip(i).step_by(columns).copied());
-            let (row, intensity) = brightest_peak(&column)?;
+    let rows = counts.len() / columns;
+    let mut strip = vec![0; STRIP * rows];
+    let mut peaks = Vec::with_capacity(columns);
+    for first in (0..columns).step_by(STRIP) {
+        let width = STRIP.min(columns - first);
+        for (i, row) in counts.chunks_exact(columns).enumerate() {
+            for (j, &count) in row[first..first + width].iter().enumerate() {
+                strip[j * rows + i] = count;
+            }
+        }
+        let found = strip.chunks_exact(rows).take(width).enumerate();
+        peaks.extend(found.filter_map(|(j, column)| {
+            let (row, intensity) = brightest_peak(column)?;
             Some(Peak {
-                column: i as u32,
+                column: (first + j) as u32,
                 row,
                 intensity,
             })
-        })
-        .collect()
+        }));
+    }
+    peaks
 }
 
 /// Row and intensity of the brightest peak of a column.
 fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
     let (background, noise) = background(column);
-    let (top, &highest) = column
-        .iter()
-        .enumerate()
-        .max_by_key(|&(i, &count)| (count, std::cmp::Reverse(i)))?;
+    let &highest = column.iter().max()?;
+    let top = column.iter().position(|&count| count == highest)?;
     let height = highest as f64 - background;
     if height < (DETECTION_SIGMAS * noise).max(DETECTION_COUNTS) {
         return None;
@@ -68,26 +77,40 @@ fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
 /// Mean and standard deviation of the column without its line: what lies further
 /// than four deviations off is left out, again and again until nothing more is.
 fn background(column: &[u16]) -> (f64, f64) {
-    let (mut low, mut high) = (0.0, f64::INFINITY);
+    let (mut low, mut high) = (0, u16::MAX);
     let mut kept = 0;
     loop {
-        let (mut n, mut sum, mut squares) = (0, 0.0, 0.0);
-        for &count in column {
-            let count = count as f64;
-            if (low..=high).contains(&count) {
-                n += 1;
-                sum += count;
-                squares += count * count;
-            }
-        }
-        let mean = sum / n as f64;
-        let sigma = (squares / n as f64 - mean * mean).max(0.0).sqrt();
+        let (n, sum, squares) = moments(column, low, high);
+        let mean = sum as f64 / n as f64;
+        let sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
         if n == kept {
             return (mean, sigma);
         }
         kept = n;
-        (low, high) = (mean - 4.0 * sigma - 0.5, mean + 4.0 * sigma + 0.5);
+        // Casts saturate.
+        low = (mean - 4.0 * sigma - 0.5).ceil() as u16;
+        high = (mean + 4.0 * sigma + 0.5).floor() as u16;
     }
+}
+
+/// Number, sum and sum of squares of the counts from `low` to `high`.
+fn moments(column: &[u16], low: u16, high: u16) -> (u64, u64, u64) {
+    let (mut n, mut sum, mut squares) = (0u64, 0u64, 0u64);
+    // Short runs, so that 32 bits hold the first two sums and without branches
+    // the loop is vectorised.
+    for run in column.chunks(256) {
+        let (mut n32, mut sum32) = (0u32, 0u32);
+        for &count in run {
+            let inside = (low <= count) & (count <= high);
+            let kept = if inside { count as u32 } else { 0 };
+            n32 += inside as u32;
+            sum32 += kept;
+            squares += kept as u64 * kept as u64;
+        }
+        n += n32 as u64;
+        sum += sum32 as u64;
+    }
+    (n, sum, squares)
 }
 
 /// Standard deviation of a Gaussian as wide at half height as the run of pixels
