@@ -110,7 +110,10 @@ pub fn cloud_picture(
                 })
                 .collect();
             for (i, packet) in rays.chunks(WIDTH).enumerate() {
-                for (j, hit) in accel.closest(packet)[..packet.len()].iter().enumerate() {
+                for (j, hit) in accel.closest(packet, |_, _| true)[..packet.len()]
+                    .iter()
+                    .enumerate()
+                {
                     if let Some(hit) = hit {
                         let light = hit
                             .normal
