@@ -177,7 +177,7 @@ fn lit_points(scene: &Scene, accel: &Accel, frame: u32, offset: f64) -> Vec<Opti
     };
     rays.chunks(WIDTH)
         .flat_map(|packet| {
-            let hits = accel.closest(packet);
+            let hits = accel.closest(packet, |_, _| true);
             hits.into_iter().take(packet.len()).collect::<Vec<_>>()
         })
         .map(|hit| lit(&hit?))
@@ -250,7 +250,13 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
         progress: &|_| {},
         stop: &AtomicBool::new(false),
     };
-    scan(&scene, Coverage::Footprint, &folder.path().join("out"), &control).unwrap();
+    scan(
+        &scene,
+        Coverage::Footprint,
+        &folder.path().join("out"),
+        &control,
+    )
+    .unwrap();
     let cloud = read_cloud(&folder.path().join("out/cloud.ply"));
 
     let accel = Accel::build(&scene.mesh, 1).unwrap();

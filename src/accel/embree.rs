@@ -261,15 +261,27 @@ impl<'m> Accel<'m> {
         self.resolution() * 256.0
     }
 
+    /// Greatest difference between the distance Embree finds and the one that is
+    /// taken after refinement, mm.
+    pub fn refinement(&self) -> f64 {
+        self.bounds.size().length() * 1e-3
+    }
+
     fn tolerance(&self) -> Tolerance {
         Tolerance {
-            along: self.bounds.size().length() * 1e-3,
+            along: self.refinement(),
             beside: self.overshoot(),
         }
     }
 
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64.
-    pub fn closest(&self, rays: &[Ray]) -> [Option<Hit>; WIDTH] {
+    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
+    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
+    /// distance; else as if nothing were hit.
+    pub fn closest(
+        &self,
+        rays: &[Ray],
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
         let tolerance = self.tolerance();
         let (valid, ray, advanced) = self.pack(rays);
         let mut packet = ffi::RTCRayHit16 {
@@ -282,15 +294,16 @@ impl<'m> Accel<'m> {
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
         unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
-        std::array::from_fn(|i| {
-            if packet.hit.geomID[i] == ffi::LT_NO_GEOMETRY {
-                return None;
-            }
+        let mut hits = [None; WIDTH];
+        for (i, (hit, ray)) in hits.iter_mut().zip(rays).enumerate() {
             let t = advanced[i] + packet.ray.tfar[i] as f64;
-            let triangle = packet.hit.primID[i];
-            let corners = self.mesh.triangle(triangle as usize);
-            refine(&rays[i], triangle, corners, t, tolerance)
-        })
+            if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY && wanted(i, t) {
+                let triangle = packet.hit.primID[i];
+                let corners = self.mesh.triangle(triangle as usize);
+                *hit = refine(ray, triangle, corners, t, tolerance);
+            }
+        }
+        hits
     }
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.

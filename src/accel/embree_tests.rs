@@ -51,7 +51,7 @@ fn closest_hits_agree_with_brute_force() {
     let rays = rays_at(&mesh, 20_000);
     let (mut hits, mut disagreements) = (0, 0);
     for packet in rays.chunks(WIDTH) {
-        let found = accel.closest(packet);
+        let found = accel.closest(packet, |_, _| true);
         for (ray, found) in packet.iter().zip(found) {
             let truth = brute::closest(&mesh, ray);
             match (truth, found) {
@@ -128,7 +128,7 @@ fn a_ray_that_misses_the_box_or_runs_along_its_face_is_no_trouble() {
         origin: bounds.max + DVec3::ONE,
         ..along_face
     };
-    assert!(accel.closest(&[along_face, away])[1].is_none());
+    assert!(accel.closest(&[along_face, away], |_, _| true)[1].is_none());
     assert_eq!(accel.occluded(&[away, away]), 0);
     assert_eq!(accel.occluded(&[]), 0);
 }

@@ -27,11 +27,12 @@ pub struct Ray {
 impl Ray {
     /// The segment from `a` to `b`; `None` if they coincide.
     pub fn between(a: DVec3, b: DVec3) -> Option<Ray> {
-        let direction = (b - a).try_normalize()?;
-        Some(Ray {
+        let length = (b - a).length();
+        // Also false for NaN.
+        (length > 0.0).then(|| Ray {
             origin: a,
-            direction,
-            t_max: (b - a).length(),
+            direction: (b - a) / length,
+            t_max: length,
         })
     }
 }

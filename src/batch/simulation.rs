@@ -2,7 +2,7 @@
 //! patterns computed. Each frame depends on its number alone.
 
 use crate::accel::{Accel, Clusters};
-use crate::camera::Camera;
+use crate::camera::{Camera, DARK_GROUP, DarkCounts};
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
@@ -25,7 +25,13 @@ pub struct Simulation<'s> {
     speckle: Option<Patterns>,
     /// `None`: every sample is traced.
     clusters: Option<Clusters>,
+    /// `None`: dark counts are all the same.
+    dark: Option<DarkCounts>,
 }
+
+/// Tells the keys of groups of dark pixels from those of pixels: no sensor has as
+/// many.
+const DARK: u64 = u64::MAX;
 
 /// Speckle of a scan: the patterns, how they lie over the sensor, and how they
 /// follow the part.
@@ -55,6 +61,7 @@ impl<'s> Simulation<'s> {
                 false => None,
             },
             clusters: None,
+            dark: DarkCounts::new(&scene.camera.sensor),
         })
     }
 
@@ -87,12 +94,27 @@ impl<'s> Simulation<'s> {
         let sensor = &self.scene.camera.sensor;
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
-        irradiance
-            .par_iter()
+        let pixel = |i: usize| key.with(i as u64);
+        let group = |i: usize| key.with(DARK).with((i / DARK_GROUP) as u64);
+        let mut counts = vec![0; irradiance.len()];
+        counts
+            .par_chunks_mut(DARK_GROUP)
+            .zip(irradiance.par_chunks(DARK_GROUP))
             .enumerate()
-            .with_min_len(4096)
-            .map(|(i, &e)| sensor.count(e as f64 * electrons, key.with(i as u64)))
-            .collect()
+            .with_min_len(1024)
+            .for_each(|(chunk, (counts, irradiance))| {
+                let first = chunk * DARK_GROUP;
+                let is_dark = |i: usize| irradiance[i] == 0.0;
+                if let Some(dark) = &self.dark {
+                    dark.draw(counts, is_dark, group(first), |i| pixel(first + i));
+                }
+                for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
+                    if self.dark.is_none() || e != 0.0 {
+                        *count = sensor.count(e as f64 * electrons, pixel(first + i));
+                    }
+                }
+            });
+        counts
     }
 
     /// What the measurement knows of the sensor.

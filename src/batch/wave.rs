@@ -162,7 +162,7 @@ fn patch_view(scene: &Scene, frame: u32) -> Result<SurfaceView> {
         direction: laser.rotation.z_axis,
         t_max: f64::INFINITY,
     };
-    let hit = simulation.accel.closest(&[ray])[0].ok_or_else(|| {
+    let hit = simulation.accel.closest(&[ray], |_, _| true)[0].ok_or_else(|| {
         Error::Usage(format!(
             "--frame {frame}: the axis of the laser meets no surface there"
         ))

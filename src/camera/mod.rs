@@ -6,9 +6,11 @@
 //! drawn in front of the lens, where its image is upright. Pixel (i, j) covers
 //! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
 
+mod dark;
 mod lens;
 mod sensor;
 
+pub use dark::{DarkCounts, GROUP as DARK_GROUP};
 pub use lens::Lens;
 pub use sensor::{Noise, Sensor};
 

@@ -59,7 +59,7 @@ fn shade(
     depth: &mut [f64],
 ) {
     for (i, packet) in rays.chunks(WIDTH).enumerate() {
-        let hits = accel.closest(packet);
+        let hits = accel.closest(packet, |_, _| true);
         for (j, hit) in hits[..packet.len()].iter().enumerate() {
             if let Some(hit) = hit {
                 let grey = 70.0 + 110.0 * hit.normal.dot(towards_light).max(0.0);

@@ -3,7 +3,7 @@
 //! from, Lambert reflection, pupil solid angle, speckle.
 
 use super::blocks::Blocks;
-use super::footprint::footprint;
+use super::footprint::Footprint;
 use super::sight::Sight;
 use crate::accel::{Accel, Clusters, Hit, Ray, WIDTH};
 use crate::camera::Camera;
@@ -53,30 +53,34 @@ impl Speckle<'_> {
 /// The same bytes for any number of threads: pixels are summed one by one, each
 /// in a fixed order. Traces every sample; [`footprint_image`] gives the same.
 pub fn irradiance_image(view: &View) -> Vec<f32> {
-    let blocks = Blocks::all(view.camera.sensor.resolution, view.samples_per_side);
-    trace(
-        view,
-        &Sight::new(view.camera, &view.part_from_camera),
-        &blocks,
-    )
+    let everything = Footprint {
+        blocks: Blocks::all(view.camera.sensor.resolution, view.samples_per_side),
+        reach: f64::INFINITY,
+    };
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    trace(view, &sight, &everything)
 }
 
 /// The bytes of [`irradiance_image`], of which only those samples are traced that
 /// may see lit surface; `clusters` are those of the view's mesh.
 pub fn footprint_image(view: &View, clusters: &Clusters) -> Vec<f32> {
     let sight = Sight::new(view.camera, &view.part_from_camera);
-    trace(view, &sight, &footprint(view, &sight, clusters))
+    trace(view, &sight, &Footprint::new(view, &sight, clusters))
 }
 
-/// The image of the light that the samples of `blocks` see.
-fn trace(view: &View, sight: &Sight, blocks: &Blocks) -> Vec<f32> {
+/// The image of the light that the samples of a footprint see.
+fn trace(view: &View, sight: &Sight, footprint: &Footprint) -> Vec<f32> {
     let resolution = view.camera.sensor.resolution;
     let columns = resolution.x as usize;
+    let laser_from_part = view.part_from_laser.inverse();
     let frame = Frame {
         view,
         sight,
-        blocks,
-        laser_from_part: view.part_from_laser.inverse(),
+        blocks: &footprint.blocks,
+        laser_from_part,
+        eye_to_sheet: laser_from_part.point(sight.eye).y,
+        across: view.part_from_laser.rotation.y_axis,
+        reach: footprint.reach + view.accel.refinement(),
         side: view.samples_per_side as usize,
     };
     let mut image = vec![0.0f32; columns * resolution.y as usize];
@@ -104,6 +108,11 @@ struct Frame<'a> {
     sight: &'a Sight,
     blocks: &'a Blocks,
     laser_from_part: Rigid,
+    /// Height of the eye over the laser's sheet, and the sheet's normal.
+    eye_to_sheet: f64,
+    across: DVec3,
+    /// Hits higher than this over the sheet are dark, before refinement too.
+    reach: f64,
     /// Samples along each side of a pixel.
     side: usize,
 }
@@ -129,12 +138,19 @@ impl Frame<'_> {
         let pixel =
             |i: usize| DVec2::new((first + i) as f64 + 0.5, sub_row as f64 + 0.5) * per_sample;
         let to_sensor = |i: usize| self.sight.to_sensor(pixel(i));
-        let rays: [Ray; WIDTH] = std::array::from_fn(|i| Ray {
+        let mut rays = [Ray {
             origin: self.sight.eye,
-            direction: to_sensor(i).normalize(),
+            direction: DVec3::Z,
             t_max: f64::INFINITY,
-        });
-        let hits = self.view.accel.closest(&rays[..count]);
+        }; WIDTH];
+        for (i, ray) in rays[..count].iter_mut().enumerate() {
+            ray.direction = to_sensor(i).normalize();
+        }
+        let near_sheet = |i: usize, t: f64| {
+            let climb = self.across.dot(rays[i].direction);
+            (self.eye_to_sheet + t * climb).abs() <= self.reach
+        };
+        let hits = self.view.accel.closest(&rays[..count], near_sheet);
         let mut shadow_rays = rays;
         let mut lit = [(0, 0.0); WIDTH];
         let mut seen = 0;

@@ -14,12 +14,31 @@ use crate::accel::{Clusters, Found, HalfSpace};
 use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 
-/// Blocks that may see light. Costs what the beam touches, not what the mesh or
-/// the sensor holds.
-pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Blocks {
+/// Where light may be seen.
+pub(super) struct Footprint {
+    /// Blocks that may see light.
+    pub blocks: Blocks,
+    /// Greatest distance of light on the part from the plane of the laser's x and
+    /// z axes, mm.
+    pub reach: f64,
+}
+
+impl Footprint {
+    /// Costs what the beam touches, not what the mesh or the sensor holds.
+    pub fn new(view: &View, sight: &Sight, clusters: &Clusters) -> Footprint {
+        let margin = margin(view);
+        let part = view.accel.bounds();
+        let beam = slices(view.laser, &view.part_from_laser, &part, margin);
+        Footprint {
+            blocks: blocks(view, sight, clusters, &beam, margin),
+            reach: beam.iter().map(|slice| slice.reach).fold(0.0, f64::max) + margin,
+        }
+    }
+}
+
+fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margin: f64) -> Blocks {
     let resolution = view.camera.sensor.resolution;
     let mut blocks = Blocks::none(resolution, view.samples_per_side);
-    let margin = margin(view);
     let projection = Projection::new(sight, resolution.as_dvec2());
     let frustum = frustum(sight.eye, &projection, resolution.as_dvec2());
     let detail = detail(view, &projection);
@@ -30,14 +49,15 @@ pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Bloc
         margin,
     };
     let mut volume = Vec::new();
-    for slice in slices(
-        view.laser,
-        &view.part_from_laser,
-        &view.accel.bounds(),
-        margin,
-    ) {
+    for slice in beam {
         volume.clear();
-        volume.extend(slice.iter().chain(&frustum).map(|h| h.widened(margin)));
+        volume.extend(
+            slice
+                .borders
+                .iter()
+                .chain(&frustum)
+                .map(|h| h.widened(margin)),
+        );
         clusters.touching(&volume, detail, |found| match found {
             Found::Triangle { index, crossed } => {
                 let mut polygon = Polygon::new(view.accel.mesh().triangle(index as usize));
@@ -91,9 +111,15 @@ fn frustum(eye: DVec3, projection: &Projection, resolution: DVec2) -> [HalfSpace
     .map(|inward| HalfSpace::new(eye, inward))
 }
 
-/// The beam where it may meet the part, cut along its axis into pieces over which
-/// its width varies little; each piece is convex.
-fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> Vec<Vec<HalfSpace>> {
+/// A piece of the beam over which its width varies little, and which is convex.
+struct Slice {
+    borders: Vec<HalfSpace>,
+    /// Greatest |y| in it, mm.
+    reach: f64,
+}
+
+/// The beam where it may meet the part, cut along its axis.
+fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> Vec<Slice> {
     let laser_from_part = part_from_laser.inverse();
     let part = Aabb::of(part.corners().map(|c| laser_from_part.point(c)));
     let (near, far) = ((part.min.z - margin).max(0.0), part.max.z + margin);
@@ -125,14 +151,17 @@ fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> V
                 Some(_) => furthest_x.hypot(to),
             };
             let reach = laser.reach(from, furthest);
-            let mut slice = vec![
+            let mut borders = vec![
                 HalfSpace::new(aperture - across * reach.y, across),
                 HalfSpace::new(aperture + across * reach.y, -across),
                 HalfSpace::new(aperture + along * from, along),
                 HalfSpace::new(aperture + along * to, -along),
             ];
-            slice.extend(sides(laser, part_from_laser, reach.x).into_iter().flatten());
-            slice
+            borders.extend(sides(laser, part_from_laser, reach.x).into_iter().flatten());
+            Slice {
+                borders,
+                reach: reach.y,
+            }
         })
         .collect()
 }

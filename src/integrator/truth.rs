@@ -35,7 +35,7 @@ pub fn truth_layers(view: &View) -> Truth {
                 .collect();
             let hits: Vec<Option<Hit>> = rays
                 .chunks(WIDTH)
-                .flat_map(|packet| view.accel.closest(packet)[..packet.len()].to_vec())
+                .flat_map(|packet| view.accel.closest(packet, |_, _| true)[..packet.len()].to_vec())
                 .collect();
             hits
         })

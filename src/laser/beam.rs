@@ -32,7 +32,8 @@ impl Beam {
 
     /// 1/e² radius w(z) = w₀·√(1 + (z/z_R)²) at distance `z` from the aperture.
     pub fn radius(&self, z: f64) -> f64 {
-        self.waist_radius * (1.0f64).hypot((z - self.waist_distance) / self.rayleigh_range())
+        let spread = (z - self.waist_distance) / self.rayleigh_range();
+        self.waist_radius * (1.0 + spread * spread).sqrt()
     }
 
     /// w′(z)/w(z): energy flows along r/w(z) = const, so a ray at radius r has

@@ -38,7 +38,7 @@ impl Fan {
     /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
     /// origin line (the laser frame's y axis) and y that from the sheet.
     pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Illumination> {
-        let rho = p.x.hypot(p.z);
+        let rho = (p.x * p.x + p.z * p.z).sqrt();
         let w = beam.radius(rho);
         if p.z <= 0.0 || p.y.abs() > CUTOFF_RADII * w {
             return None;

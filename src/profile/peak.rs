@@ -20,31 +20,40 @@ const DETECTION_COUNTS: f64 = 2.0;
 /// pull the centroid of a line of σ = 1 px by 0.003 px.
 const WINDOW_SIGMAS: f64 = 4.0;
 
+/// Columns that are gathered at once: a cache line of a row.
+const STRIP: usize = 32;
+
 /// The brightest peak of each column of a row-by-row image; columns without a
 /// line are left out.
 pub fn find_peaks(counts: &[u16], columns: usize) -> Vec<Peak> {
-    let mut column = Vec::with_capacity(counts.len() / columns);
-    (0..columns)
-        .filter_map(|i| {
-            column.clear();
-            column.extend(counts.iter().skip(i).step_by(columns).copied());
-            let (row, intensity) = brightest_peak(&column)?;
+    let rows = counts.len() / columns;
+    let mut strip = vec![0; STRIP * rows];
+    let mut peaks = Vec::with_capacity(columns);
+    for first in (0..columns).step_by(STRIP) {
+        let width = STRIP.min(columns - first);
+        for (i, row) in counts.chunks_exact(columns).enumerate() {
+            for (j, &count) in row[first..first + width].iter().enumerate() {
+                strip[j * rows + i] = count;
+            }
+        }
+        let found = strip.chunks_exact(rows).take(width).enumerate();
+        peaks.extend(found.filter_map(|(j, column)| {
+            let (row, intensity) = brightest_peak(column)?;
             Some(Peak {
-                column: i as u32,
+                column: (first + j) as u32,
                 row,
                 intensity,
             })
-        })
-        .collect()
+        }));
+    }
+    peaks
 }
 
 /// Row and intensity of the brightest peak of a column.
 fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
     let (background, noise) = background(column);
-    let (top, &highest) = column
-        .iter()
-        .enumerate()
-        .max_by_key(|&(i, &count)| (count, std::cmp::Reverse(i)))?;
+    let &highest = column.iter().max()?;
+    let top = column.iter().position(|&count| count == highest)?;
     let height = highest as f64 - background;
     if height < (DETECTION_SIGMAS * noise).max(DETECTION_COUNTS) {
         return None;
@@ -71,35 +80,47 @@ fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
 /// rounding hides), what lies further than four deviations off is left out, again
 /// and again until nothing changes.
 fn background(column: &[u16]) -> (f64, f64) {
-    let mut sorted = column.to_vec();
-    sorted.sort_unstable();
-    let median = sorted[sorted.len() / 2];
-    sorted.iter_mut().for_each(|c| *c = c.abs_diff(median));
-    sorted.sort_unstable();
-    let (mut mean, mut sigma) = (
-        median as f64,
-        1.4826 * sorted[sorted.len() / 2] as f64 + 1.0,
-    );
+    let mut scratch = column.to_vec();
+    let middle = scratch.len() / 2;
+    let median = *scratch.select_nth_unstable(middle).1;
+    scratch.iter_mut().for_each(|c| *c = c.abs_diff(median));
+    let deviation = *scratch.select_nth_unstable(middle).1;
+    let (mut mean, mut sigma) = (median as f64, 1.4826 * deviation as f64 + 1.0);
     let mut kept = 0;
     // Each round ends with other counts kept or is the last; ten are plenty.
     for _ in 0..10 {
-        let window = mean - 4.0 * sigma..=mean + 4.0 * sigma;
-        let (mut n, mut sum, mut squares) = (0, 0.0, 0.0);
-        for count in column.iter().map(|&c| c as f64) {
-            if window.contains(&count) {
-                n += 1;
-                sum += count;
-                squares += count * count;
-            }
-        }
+        // Casts saturate.
+        let low = (mean - 4.0 * sigma).ceil() as u16;
+        let high = (mean + 4.0 * sigma).floor() as u16;
+        let (n, sum, squares) = moments(column, low, high);
         if n == kept || n == 0 {
             break;
         }
         kept = n;
-        mean = sum / n as f64;
-        sigma = (squares / n as f64 - mean * mean).max(0.0).sqrt();
+        mean = sum as f64 / n as f64;
+        sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
     }
     (mean, sigma)
+}
+
+/// Number, sum and sum of squares of the counts from `low` to `high`.
+fn moments(column: &[u16], low: u16, high: u16) -> (u64, u64, u64) {
+    let (mut n, mut sum, mut squares) = (0u64, 0u64, 0u64);
+    // Short runs, so that 32 bits hold the first two sums and without branches
+    // the loop is vectorised.
+    for run in column.chunks(256) {
+        let (mut n32, mut sum32) = (0u32, 0u32);
+        for &count in run {
+            let inside = (low <= count) & (count <= high);
+            let kept = if inside { count as u32 } else { 0 };
+            n32 += inside as u32;
+            sum32 += kept;
+            squares += kept as u64 * kept as u64;
+        }
+        n += n32 as u64;
+        sum += sum32 as u64;
+    }
+    (n, sum, squares)
 }
 
 /// Standard deviation of a Gaussian as wide at half height as the run of pixels
