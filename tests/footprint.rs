@@ -69,6 +69,7 @@ fn camera(resolution: UVec2, pitch: f64, focus_distance: f64, tilt: DVec2) -> Ca
             focal_length: 25.0,
             f_number: 8.0,
             focus_distance,
+            aperture: lasertrace::camera::Aperture::Circle,
         },
         sensor: Sensor {
             resolution,
@@ -193,6 +194,7 @@ impl<'m> Part<'m> {
             speckle: setup.speckle.then_some(Speckle {
                 lookup: self.lookup,
                 map: GrainMap::new(4.0, 0.012, DVec2::new(1e-4, -2e-4)),
+                per_pixel: false,
                 displacement: DVec2::new(0.3, -7.0),
                 slice: 5.7,
             }),

@@ -2,7 +2,7 @@
 
 use glam::UVec2;
 use lasertrace::accel::Accel;
-use lasertrace::camera::{Camera, Lens, Sensor};
+use lasertrace::camera::{Aperture, Camera, Lens, Sensor};
 use lasertrace::integrator::{View, irradiance_image};
 use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3, Rigid};
@@ -16,6 +16,7 @@ fn camera(columns: u32, rows: u32, tilt_deg: f64) -> Camera {
             focal_length: 50.0,
             f_number: 8.0,
             focus_distance: 150.0,
+            aperture: Aperture::Circle,
         },
         sensor: Sensor {
             resolution: UVec2::new(columns, rows),

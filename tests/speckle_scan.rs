@@ -126,7 +126,7 @@ fn the_image_has_the_contrast_of_integrated_speckle() {
         let scene = scene(DVec3::Y * 0.01, tilt);
         let with = Simulation::new(&scene).unwrap().irradiance(0);
         let mut plain = scene;
-        plain.speckle = false;
+        plain.speckle = None;
         let without = Simulation::new(&plain).unwrap().irradiance(0);
         let ratios: Vec<f64> = with
             .iter()

@@ -4,11 +4,13 @@ mod files;
 mod render;
 mod scan;
 mod simulation;
+mod speckle;
 mod wave;
 
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};
+pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use wave::{WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference};
 
 use crate::error::{Error, Result};

@@ -6,14 +6,15 @@ use crate::camera::{Camera, DARK_GROUP, DarkCounts};
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
+use crate::integrator::plan::SpeckleOptics;
 use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, find_peaks};
-use crate::scene::Scene;
+use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::{Source, SurfaceView};
 use crate::speckle::pattern::PatternSpec;
 use rayon::prelude::*;
@@ -38,6 +39,7 @@ const DARK: u64 = u64::MAX;
 struct Patterns {
     lookup: Lookup,
     map: GrainMap,
+    per_pixel: bool,
     anchor: PoseAnchor,
 }
 
@@ -56,9 +58,9 @@ impl<'s> Simulation<'s> {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
             plan,
-            speckle: match scene.speckle {
-                true => Some(Patterns::new(scene)?),
-                false => None,
+            speckle: match &scene.speckle {
+                Some(model) => Some(Patterns::new(scene, model)?),
+                None => None,
             },
             clusters: None,
             dark: DarkCounts::new(&scene.camera.sensor),
@@ -151,21 +153,23 @@ impl<'s> Simulation<'s> {
 }
 
 impl Patterns {
-    fn new(scene: &Scene) -> Result<Patterns> {
+    fn new(scene: &Scene, model: &SpeckleModel) -> Result<Patterns> {
         let spec = PatternSpec {
             slices: 32,
+            aperture: model.aperture,
             seed: scene.seed,
             ..PatternSpec::default()
         };
         let wavelength = scene.laser.beam.wavelength;
         let reference = scene.part_from_head(0);
         Ok(Patterns {
-            lookup: Lookup::new(&spec, Method::Field, Coherence::FULL)?,
+            lookup: Lookup::new(&spec, model.method, model.coherence)?,
             map: GrainMap::new(
                 spec.texels_per_speckle,
                 scene.camera.speckle_size(wavelength),
                 scene.camera.speckle_size_gradient(wavelength),
             ),
+            per_pixel: matches!(model.method, Method::Prefiltered { .. }),
             anchor: PoseAnchor::new(
                 surface_view(scene, None),
                 reference.inverse().rotation,
@@ -179,6 +183,7 @@ impl Patterns {
         Speckle {
             lookup: &self.lookup,
             map: self.map,
+            per_pixel: self.per_pixel,
             // The view's second axis points up, the sensor's rows go down.
             displacement: DVec2::new(at.sensor.x, -at.sensor.y),
             slice: at.u * self.lookup.slices_per_diameter(),
@@ -234,6 +239,10 @@ pub fn plan(scene: &Scene) -> Plan {
         &scene.camera,
         &camera_from_laser(scene),
         &Aabb::of(corners.map(|c| laser_from_part.point(c))),
-        scene.speckle,
+        scene.speckle.as_ref().map(|s| SpeckleOptics {
+            per_pixel: matches!(s.method, Method::Prefiltered { .. }),
+            aperture: s.aperture,
+            contrast: s.coherence.contrast(),
+        }),
     )
 }

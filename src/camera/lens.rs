@@ -2,6 +2,16 @@
 
 use std::f64::consts::PI;
 
+/// Shape of the pupil; its width is the pupil diameter.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Aperture {
+    Circle,
+    /// Height / width, in (0, 1].
+    Ellipse(f64),
+    Square,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lens {
     /// mm.
@@ -11,6 +21,7 @@ pub struct Lens {
     /// Distance along the axis of the plane in focus at the sensor's centre, mm;
     /// greater than the focal length.
     pub focus_distance: f64,
+    pub aperture: Aperture,
 }
 
 impl Lens {
@@ -21,7 +32,12 @@ impl Lens {
 
     /// mm².
     pub fn pupil_area(&self) -> f64 {
-        PI / 4.0 * self.pupil_diameter().powi(2)
+        let square = self.pupil_diameter().powi(2);
+        match self.aperture {
+            Aperture::Circle => PI / 4.0 * square,
+            Aperture::Ellipse(ratio) => PI / 4.0 * square * ratio,
+            Aperture::Square => square,
+        }
     }
 
     /// Where an object at distance `z` is imaged, 1/(1/f - 1/z), mm; `None` if it

@@ -11,7 +11,7 @@ mod lens;
 mod sensor;
 
 pub use dark::{DarkCounts, GROUP as DARK_GROUP};
-pub use lens::Lens;
+pub use lens::{Aperture, Lens};
 pub use sensor::{Noise, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};
@@ -128,6 +128,7 @@ mod tests {
                 focal_length: 25.0,
                 f_number: 8.0,
                 focus_distance: 240.0,
+                aperture: Aperture::Circle,
             },
             sensor: Sensor {
                 resolution: UVec2::new(800, 600),

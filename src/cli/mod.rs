@@ -3,6 +3,7 @@
 mod check;
 mod render;
 mod scan;
+mod speckle;
 mod wave;
 
 use crate::batch::Coverage;
@@ -44,6 +45,8 @@ enum Command {
     Render(render::Arguments),
     /// Run the whole scan: point cloud, deviation from CAD, report
     Scan(scan::Arguments),
+    /// Make a speckle pattern and hold its statistics against theory
+    Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
     Wave(wave::Arguments),
     /// Print the JSON Schema of the scene file
@@ -153,6 +156,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
+        Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();

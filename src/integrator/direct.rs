@@ -33,6 +33,8 @@ pub struct View<'a> {
 pub struct Speckle<'a> {
     pub lookup: &'a Lookup,
     pub map: GrainMap,
+    /// The patterns are integrated over the pixel: they are read at its centre.
+    pub per_pixel: bool,
     /// a_I of the seed: displacement on the sensor at which the pattern is read,
     /// (columns, rows), mm.
     pub displacement: DVec2,
@@ -41,8 +43,14 @@ pub struct Speckle<'a> {
 }
 
 impl Speckle<'_> {
-    /// Speckle intensity (mean 1) at a point of the sensor, mm from its centre.
-    fn intensity(&self, screen: DVec2) -> f64 {
+    /// Speckle intensity (mean 1) at a place (column, row) on the sensor.
+    fn intensity(&self, camera: &Camera, place: DVec2) -> f64 {
+        let place = if self.per_pixel {
+            place.floor() + 0.5
+        } else {
+            place
+        };
+        let screen = camera.screen(place);
         let (s, t) = self.map.position(screen, self.displacement).into();
         let u = self.slice;
         self.lookup.intensity(Coordinate { s, t, u }) as f64
@@ -158,9 +166,10 @@ impl Frame<'_> {
             let Some((received, shadow_ray)) = hit.and_then(|hit| self.light_at(&hit)) else {
                 continue;
             };
-            let speckle = self.view.speckle.map_or(1.0, |speckle| {
-                speckle.intensity(self.view.camera.screen(pixel(i)))
-            });
+            let speckle = self
+                .view
+                .speckle
+                .map_or(1.0, |speckle| speckle.intensity(self.view.camera, pixel(i)));
             let radiance = self.view.surface.radiance(received);
             let irradiance = radiance * speckle * self.solid_angle(to_sensor(i));
             shadow_rays[seen] = shadow_ray;

@@ -4,6 +4,8 @@
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::speckle::pattern::Aperture;
+use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -41,6 +43,19 @@ pub struct Effect {
     pub why: String,
 }
 
+/// What the plan must know of speckle.
+#[derive(Debug, Clone, Copy)]
+pub struct SpeckleOptics {
+    pub aperture: Aperture,
+    /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
+    pub contrast: f64,
+    /// The patterns are already integrated over the pixel.
+    pub per_pixel: bool,
+}
+
+/// Relative error of speckle contrast that sampling may cause.
+const CONTRAST_TOLERANCE: f64 = 0.01;
+
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
 const MAX_SAMPLES_PER_SIDE: u32 = 16;
@@ -54,16 +69,22 @@ fn sampling_error(sigma: f64, n: u32) -> f64 {
 }
 
 /// Samples a side at which the line's centroid is good to
-/// [`SAMPLING_TOLERANCE_PX`] and, with speckle, at which there are two samples a
-/// speckle (Nyquist's rate of an intensity with spectrum up to 1/h).
-fn samples_per_side(sigma_px: f64, speckle_size_px: Option<f64>) -> u32 {
+/// [`SAMPLING_TOLERANCE_PX`] and the contrast of speckle to [`CONTRAST_TOLERANCE`].
+fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&SpeckleOptics>) -> u32 {
     let line = (1..=MAX_SAMPLES_PER_SIDE)
         .find(|&n| {
             // Below σn = ½ the error grows with n before it falls.
             sigma_px * n as f64 > 0.5 && sampling_error(sigma_px, n) < SAMPLING_TOLERANCE_PX
         })
         .unwrap_or(MAX_SAMPLES_PER_SIDE);
-    let grain = speckle_size_px.map_or(1, |h| (2.0 / h).ceil() as u32);
+    let grain = match speckle {
+        Some(optics) if !optics.per_pixel => {
+            // Past this many grains a pixel no affordable number of samples does.
+            let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
+            samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
+        }
+        _ => 1,
+    };
     line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
 }
 
@@ -75,14 +96,14 @@ impl Plan {
         camera: &Camera,
         camera_from_laser: &Rigid,
         part_in_laser: &Aabb,
-        speckle: bool,
+        speckle: Option<SpeckleOptics>,
     ) -> Plan {
         let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
         let pitch = camera.sensor.pixel_pitch;
         let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
         let airy_radius_px = 1.22 * speckle_size_px;
         let sigma = line.half_width_px / 2.0;
-        let samples = samples_per_side(sigma, speckle.then_some(speckle_size_px));
+        let samples = samples_per_side(sigma, speckle_size_px, speckle.as_ref());
         let plane_point = camera_from_laser.translation;
         let plane_normal = camera_from_laser.rotation.y_axis;
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
@@ -99,11 +120,11 @@ impl Plan {
             laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
             effects: Vec::new(),
         };
-        plan.effects = plan.explain(speckle, sigma);
+        plan.effects = plan.explain(speckle.as_ref(), sigma);
         plan
     }
 
-    fn explain(&self, speckle: bool, sigma: f64) -> Vec<Effect> {
+    fn explain(&self, speckle: Option<&SpeckleOptics>, sigma: f64) -> Vec<Effect> {
         let n = self.samples_per_side;
         let effect = |effect, modelled, method: String, why: String| Effect {
             effect,
@@ -125,8 +146,8 @@ impl Plan {
             ),
             effect(
                 "speckle",
-                speckle,
-                if speckle {
+                speckle.is_some(),
+                if speckle.is_some() {
                     "precomputed pattern"
                 } else {
                     "none"
@@ -135,7 +156,11 @@ impl Plan {
                 format!(
                     "grain {:.2} px; it moves each centroid by about {:.2} px (1σ)",
                     self.speckle_size_px,
-                    0.3905 * (self.speckle_size_px * sigma).sqrt()
+                    centroid_noise(
+                        self.speckle_size_px,
+                        sigma,
+                        speckle.map_or(1.0, |s| s.contrast)
+                    )
                 ),
             ),
             effect(
@@ -262,10 +287,24 @@ mod tests {
 
     #[test]
     fn narrow_lines_and_fine_grain_need_more_samples() {
-        assert_eq!(samples_per_side(3.0, None), 1);
-        assert_eq!(samples_per_side(0.4, None), 2);
-        assert_eq!(samples_per_side(3.0, Some(0.5)), 4);
-        assert_eq!(samples_per_side(1e-9, None), MAX_SAMPLES_PER_SIDE);
-        assert_eq!(samples_per_side(3.0, Some(1e-9)), MAX_SAMPLES_PER_SIDE);
+        let optics = SpeckleOptics {
+            aperture: Aperture::Circle,
+            contrast: 1.0,
+            per_pixel: false,
+        };
+        let prefiltered = SpeckleOptics {
+            per_pixel: true,
+            ..optics
+        };
+        assert_eq!(samples_per_side(3.0, 1.0, None), 1);
+        assert_eq!(samples_per_side(0.4, 1.0, None), 2);
+        let fine = samples_per_side(3.0, 0.25, Some(&optics));
+        assert!(fine > samples_per_side(3.0, 1.0, Some(&optics)) && fine < MAX_SAMPLES_PER_SIDE);
+        assert_eq!(samples_per_side(3.0, 0.25, Some(&prefiltered)), 1);
+        assert_eq!(samples_per_side(1e-9, 1.0, None), MAX_SAMPLES_PER_SIDE);
+        assert_eq!(
+            samples_per_side(3.0, 1e-9, Some(&optics)),
+            MAX_SAMPLES_PER_SIDE
+        );
     }
 }

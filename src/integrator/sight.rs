@@ -108,6 +108,7 @@ mod tests {
                 focal_length: 25.0,
                 f_number: 8.0,
                 focus_distance: 240.0,
+                aperture: crate::camera::Aperture::Circle,
             },
             sensor: Sensor {
                 resolution: UVec2::new(800, 600),

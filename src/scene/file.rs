@@ -14,6 +14,9 @@ pub struct SceneFile {
     pub seed: u64,
     /// Whether laser light shows speckle.
     pub speckle: bool,
+    /// How speckle patterns are read. Default: field.
+    #[serde(default)]
+    pub speckle_method: SpeckleMethod,
     /// Also write each frame of a scan as frames/frame-KKKKKK.png.
     #[serde(default)]
     pub write_frames: bool,
@@ -21,6 +24,20 @@ pub struct SceneFile {
     pub laser: LaserTable,
     pub camera: CameraTable,
     pub scan: ScanTable,
+}
+
+/// How speckle patterns are read.
+#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum SpeckleMethod {
+    /// The complex field, interpolated: no contrast is lost.
+    #[default]
+    Field,
+    /// The intensity, interpolated (Bergmann et al. 2016): loses contrast.
+    Trilinear,
+    /// One reading a pixel of a pattern integrated over it; pixels of half a
+    /// grain and more.
+    Prefiltered,
 }
 
 /// What is inspected: exactly one of `mesh`, `plane`, `sphere`, `cylinder` and
@@ -35,6 +52,10 @@ pub struct PartTable {
     pub step_block: Option<StepBlockTable>,
     /// Share of light reflected, diffusely (Lambert), 0 to 1.
     pub reflectance: f64,
+    /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal);
+    /// lowers speckle contrast by √((1 + 𝒫²)/2). Default: 1.
+    #[serde(default = "one")]
+    pub polarisation_degree: f64,
     /// Where the part's origin lies in the world. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -117,6 +138,10 @@ pub struct LaserTable {
     /// Beam quality factor M². Default: 1, a perfect Gaussian beam.
     #[serde(default = "one")]
     pub m_squared: f64,
+    /// Wavelengths or sources whose speckle patterns are independent; N of them
+    /// lower the contrast by √N. Default: 1.
+    #[serde(default = "one_pattern")]
+    pub independent_patterns: u32,
     /// Centre of the laser's aperture.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -153,6 +178,11 @@ pub enum ProfileName {
 pub struct CameraTable {
     pub focal_length_mm: f64,
     pub f_number: f64,
+    /// Shape of the lens aperture: `circle`, `square`, or `{ ellipse = r }` with r =
+    /// height / width. Its width is the focal length over the f-number. Default:
+    /// circle.
+    #[serde(default)]
+    pub aperture: ApertureShape,
     /// Distance along the axis from the lens to the plane in focus.
     pub focus_distance_mm: f64,
     /// Columns, rows.
@@ -190,6 +220,16 @@ pub struct CameraTable {
     pub read_noise_e: Option<f64>,
 }
 
+#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ApertureShape {
+    #[default]
+    Circle,
+    /// Height / width, above 0 and at most 1.
+    Ellipse(f64),
+    Square,
+}
+
 /// A straight scan: in frame k the head's origin is at
 /// start_mm + k·step_mm·direction.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -221,6 +261,10 @@ where
 
 fn one() -> f64 {
     1.0
+}
+
+fn one_pattern() -> u32 {
+    1
 }
 
 /// JSON Schema of the scene file, as pretty-printed text.

@@ -5,4 +5,4 @@ mod locate;
 mod resolve;
 
 pub use file::{SceneFile, schema};
-pub use resolve::{LinearScan, Scene};
+pub use resolve::{LinearScan, Scene, SpeckleModel};

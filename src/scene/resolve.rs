@@ -1,12 +1,16 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
-use super::file::{CameraTable, LaserTable, PartTable, ProfileName, SceneFile, Unit};
+use super::file::{
+    ApertureShape, CameraTable, LaserTable, PartTable, ProfileName, SceneFile, SpeckleMethod, Unit,
+};
 use super::locate::Source;
-use crate::camera::{Camera, Lens, Noise, Sensor};
+use crate::camera::{Aperture, Camera, Lens, Noise, Sensor};
 use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
+use crate::speckle::lookup::{Coherence, Method};
+use crate::speckle::pattern;
 use crate::surface::Lambert;
 use glam::UVec2;
 use sha2::{Digest, Sha256};
@@ -21,6 +25,14 @@ pub struct LinearScan {
     pub frames: u32,
 }
 
+/// How speckle is modelled.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct SpeckleModel {
+    pub method: Method,
+    pub coherence: Coherence,
+    pub aperture: pattern::Aperture,
+}
+
 /// A validated scene: the world at rest and the head's way through it.
 #[derive(serde::Serialize)]
 pub struct Scene {
@@ -28,7 +40,8 @@ pub struct Scene {
     /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
     pub hash: String,
     pub seed: u64,
-    pub speckle: bool,
+    /// `None`: laser light is taken as incoherent.
+    pub speckle: Option<SpeckleModel>,
     pub write_frames: bool,
     #[serde(skip)]
     pub mesh: Mesh,
@@ -117,6 +130,7 @@ impl Resolver<'_> {
         let direction = self.direction(file.scan.direction, "scan.direction")?;
         let [step] = self.lengths([file.scan.step_mm], "scan.step_mm")?;
         self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
+        let speckle = self.speckle(&file, &laser, &camera)?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
@@ -124,7 +138,7 @@ impl Resolver<'_> {
             path: self.path.to_owned(),
             hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
             seed: file.seed,
-            speckle: file.speckle,
+            speckle,
             write_frames: file.write_frames,
             mesh,
             surface: Lambert { reflectance },
@@ -260,13 +274,72 @@ impl Resolver<'_> {
         })
     }
 
+    /// Checked whether speckle is on or off: a mistake is one either way.
+    fn speckle(
+        &self,
+        file: &SceneFile,
+        laser: &Laser,
+        camera: &Camera,
+    ) -> Result<Option<SpeckleModel>> {
+        let polarisation_degree = file.part.polarisation_degree;
+        self.check(
+            (0.0..=1.0).contains(&polarisation_degree),
+            "part.polarisation_degree",
+            "a number from 0 to 1",
+        )?;
+        let patterns = file.laser.independent_patterns;
+        self.check(
+            (1..=64).contains(&patterns),
+            "laser.independent_patterns",
+            "from 1 to 64",
+        )?;
+        let q = camera.sensor.pixel_pitch / camera.speckle_size(laser.beam.wavelength);
+        let method = match file.speckle_method {
+            SpeckleMethod::Field => Method::Field,
+            SpeckleMethod::Trilinear => Method::Trilinear,
+            SpeckleMethod::Prefiltered => {
+                self.check(
+                    (0.5..=32.0).contains(&q),
+                    "speckle_method",
+                    &format!("field: a pixel is {q:.2} grains wide, prefiltered takes 0.5 to 32"),
+                )?;
+                Method::Prefiltered { q }
+            }
+        };
+        Ok(file.speckle.then_some(SpeckleModel {
+            method,
+            coherence: Coherence {
+                polarisation_degree,
+                independent_patterns: patterns as usize,
+            },
+            aperture: match camera.lens.aperture {
+                Aperture::Circle => pattern::Aperture::Circle,
+                Aperture::Ellipse(ratio) => pattern::Aperture::Ellipse { ratio },
+                Aperture::Square => pattern::Aperture::Square,
+            },
+        }))
+    }
+
     fn camera(&self, table: &CameraTable) -> Result<Camera> {
         let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
         let lens = Lens {
             focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
             f_number: positive(table.f_number, "f_number")?,
             focus_distance: positive(table.focus_distance_mm, "focus_distance_mm")?,
+            aperture: match table.aperture {
+                ApertureShape::Circle => Aperture::Circle,
+                ApertureShape::Ellipse(ratio) => Aperture::Ellipse(ratio),
+                ApertureShape::Square => Aperture::Square,
+            },
         };
+        if let Aperture::Ellipse(ratio) = lens.aperture {
+            // Narrower, a pattern holds too few phasors to be fully developed.
+            self.check(
+                (0.1..=1.0).contains(&ratio),
+                "camera.aperture",
+                "an ellipse with height / width from 0.1 to 1",
+            )?;
+        }
         self.check(
             lens.focus_distance > lens.focal_length,
             "camera.focus_distance_mm",
