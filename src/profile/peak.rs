@@ -50,8 +50,8 @@ pub fn find_peaks(counts: &[u16], columns: usize) -> Vec<Peak> {
 
 /// Row and intensity of the brightest peak of a column.
 fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
-    let (background, noise) = background(column);
     let &highest = column.iter().max()?;
+    let (background, noise) = background(column, highest);
     let top = column.iter().position(|&count| count == highest)?;
     let height = highest as f64 - background;
     if height < (DETECTION_SIGMAS * noise).max(DETECTION_COUNTS) {
@@ -76,8 +76,8 @@ fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
 
 /// Mean and standard deviation of the column without its line: what lies further
 /// than four deviations off is left out, again and again until nothing more is.
-fn background(column: &[u16]) -> (f64, f64) {
-    let (mut low, mut high) = (0, u16::MAX);
+fn background(column: &[u16], highest: u16) -> (f64, f64) {
+    let (mut low, mut high) = (0, highest);
     let mut kept = 0;
     loop {
         let (n, sum, squares) = moments(column, low, high);
@@ -89,26 +89,29 @@ fn background(column: &[u16]) -> (f64, f64) {
         kept = n;
         // Casts saturate.
         low = (mean - 4.0 * sigma - 0.5).ceil() as u16;
-        high = (mean + 4.0 * sigma + 0.5).floor() as u16;
+        high = ((mean + 4.0 * sigma + 0.5).floor() as u16).min(highest);
     }
 }
 
 /// Number, sum and sum of squares of the counts from `low` to `high`.
 fn moments(column: &[u16], low: u16, high: u16) -> (u64, u64, u64) {
+    // Runs so short that 32 bits hold their sums: then and without branches the
+    // loop is vectorised.
+    let largest = (high as u32).max(1);
+    let run = (u32::MAX / (largest * largest)).min(256) as usize;
     let (mut n, mut sum, mut squares) = (0u64, 0u64, 0u64);
-    // Short runs, so that 32 bits hold the first two sums and without branches
-    // the loop is vectorised.
-    for run in column.chunks(256) {
-        let (mut n32, mut sum32) = (0u32, 0u32);
+    for run in column.chunks(run) {
+        let mut of_run = (0u32, 0u32, 0u32);
         for &count in run {
             let inside = (low <= count) & (count <= high);
-            let kept = if inside { count as u32 } else { 0 };
-            n32 += inside as u32;
-            sum32 += kept;
-            squares += kept as u64 * kept as u64;
+            let count = if inside { count as u32 } else { 0 };
+            of_run.0 += inside as u32;
+            of_run.1 += count;
+            of_run.2 += count * count;
         }
-        n += n32 as u64;
-        sum += sum32 as u64;
+        n += of_run.0 as u64;
+        sum += of_run.1 as u64;
+        squares += of_run.2 as u64;
     }
     (n, sum, squares)
 }
