@@ -6,13 +6,17 @@ use crate::math::DVec3;
 /// Unit normal of a triangle on the side towards which `-direction` points;
 /// `None` for a triangle without area.
 pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
-    let [a, b, c] = triangle;
-    let normal = (b - a).cross(c - a).try_normalize()?;
+    let normal = across(triangle).try_normalize()?;
     Some(if normal.dot(direction) > 0.0 {
         -normal
     } else {
         normal
     })
+}
+
+/// Normal to a triangle, twice its area long.
+fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
 }
 
 /// How far f64 lets f32 be off, mm.
@@ -39,11 +43,13 @@ pub fn refine(
     tolerance: Tolerance,
 ) -> Option<Hit> {
     let normal = facing_normal(corners, ray.direction)?;
-    let t_plane = normal.dot(corners[0] - ray.origin) / normal.dot(ray.direction);
+    // Not from the unit normal, so that neither waits for the other.
+    let across = across(corners);
+    let t_plane = across.dot(corners[0] - ray.origin) / across.dot(ray.direction);
     let on_plane = (t_plane - t_f32).abs() <= tolerance.along;
     let t = if on_plane { t_plane } else { t_f32 };
     let point = ray.origin + ray.direction * t;
-    let on_triangle = on_plane && within_edges(corners, normal, point)
+    let on_triangle = on_plane && within_edges(corners, across, point)
         || nearest_on_triangle(corners, point).distance(point) <= tolerance.beside;
     on_triangle.then_some(Hit {
         t,
@@ -54,11 +60,10 @@ pub fn refine(
 }
 
 /// Whether a point of a triangle's plane lies in the triangle.
-fn within_edges([a, b, c]: [DVec3; 3], normal: DVec3, p: DVec3) -> bool {
+fn within_edges([a, b, c]: [DVec3; 3], across: DVec3, p: DVec3) -> bool {
     let (pa, pb, pc) = (a - p, b - p, c - p);
-    let sides = [pa.cross(pb), pb.cross(pc), pc.cross(pa)].map(|n| n.dot(normal));
-    // The normal faces the ray, whichever way the corners run.
-    sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0)
+    let left_of = |from: DVec3, to: DVec3| from.cross(to).dot(across) >= 0.0;
+    left_of(pa, pb) & left_of(pb, pc) & left_of(pc, pa)
 }
 
 /// The point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision

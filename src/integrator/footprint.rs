@@ -361,3 +361,7 @@ fn within_strip(p: DVec2, q: DVec2, (top, bottom): (f64, f64)) -> Option<(f64, f
     };
     Some((column(p), column(q)))
 }
+
+#[cfg(test)]
+#[path = "footprint_tests.rs"]
+mod tests;

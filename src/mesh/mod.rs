@@ -48,7 +48,10 @@ impl Mesh {
 
     /// Corners of triangle `i` (mm), in the file's order.
     pub fn triangle(&self, i: usize) -> [DVec3; 3] {
-        self.triangles[i].map(|v| self.positions[v as usize])
+        // Not `map`, which the compiler leaves a call in the hot loop.
+        let [a, b, c] = self.triangles[i];
+        let at = |v: u32| self.positions[v as usize];
+        [at(a), at(b), at(c)]
     }
 
     /// Welds triangles over `corners` (millimetres, finite); a triangle is

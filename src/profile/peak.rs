@@ -51,8 +51,8 @@ pub fn find_peaks(counts: &[u16], columns: usize) -> Vec<Peak> {
 
 /// Row and intensity of the brightest peak of a column.
 fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
-    let (background, noise) = background(column);
     let &highest = column.iter().max()?;
+    let (background, noise) = background(column, highest);
     let top = column.iter().position(|&count| count == highest)?;
     let height = highest as f64 - background;
     if height < (DETECTION_SIGMAS * noise).max(DETECTION_COUNTS) {
@@ -75,11 +75,11 @@ fn brightest_peak(column: &[u16]) -> Option<(f64, f64)> {
     Some((row, intensity))
 }
 
-/// Mean and standard deviation of the column without its line: from the median
-/// and its absolute deviation (×1.4826 for normal noise, and one count for what
-/// rounding hides), what lies further than four deviations off is left out, again
-/// and again until nothing changes.
-fn background(column: &[u16]) -> (f64, f64) {
+/// Mean and standard deviation of the column, whose greatest count is `highest`,
+/// without its line: from the median and its absolute deviation (×1.4826 for
+/// normal noise, and one count for what rounding hides), what lies further than
+/// four deviations off is left out, again and again until nothing changes.
+fn background(column: &[u16], highest: u16) -> (f64, f64) {
     let mut scratch = column.to_vec();
     let middle = scratch.len() / 2;
     let median = *scratch.select_nth_unstable(middle).1;
@@ -91,7 +91,7 @@ fn background(column: &[u16]) -> (f64, f64) {
     for _ in 0..10 {
         // Casts saturate.
         let low = (mean - 4.0 * sigma).ceil() as u16;
-        let high = (mean + 4.0 * sigma).floor() as u16;
+        let high = ((mean + 4.0 * sigma).floor() as u16).min(highest);
         let (n, sum, squares) = moments(column, low, high);
         if n == kept || n == 0 {
             break;
@@ -105,20 +105,23 @@ fn background(column: &[u16]) -> (f64, f64) {
 
 /// Number, sum and sum of squares of the counts from `low` to `high`.
 fn moments(column: &[u16], low: u16, high: u16) -> (u64, u64, u64) {
+    // Runs so short that 32 bits hold their sums: then and without branches the
+    // loop is vectorised.
+    let largest = (high as u32).max(1);
+    let run = (u32::MAX / (largest * largest)).min(256) as usize;
     let (mut n, mut sum, mut squares) = (0u64, 0u64, 0u64);
-    // Short runs, so that 32 bits hold the first two sums and without branches
-    // the loop is vectorised.
-    for run in column.chunks(256) {
-        let (mut n32, mut sum32) = (0u32, 0u32);
+    for run in column.chunks(run) {
+        let mut of_run = (0u32, 0u32, 0u32);
         for &count in run {
             let inside = (low <= count) & (count <= high);
-            let kept = if inside { count as u32 } else { 0 };
-            n32 += inside as u32;
-            sum32 += kept;
-            squares += kept as u64 * kept as u64;
+            let count = if inside { count as u32 } else { 0 };
+            of_run.0 += inside as u32;
+            of_run.1 += count;
+            of_run.2 += count * count;
         }
-        n += n32 as u64;
-        sum += sum32 as u64;
+        n += of_run.0 as u64;
+        sum += of_run.1 as u64;
+        squares += of_run.2 as u64;
     }
     (n, sum, squares)
 }
