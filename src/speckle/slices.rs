@@ -1,6 +1,15 @@
 //! Correlation slices: the pupil slides along a closed path over one plane of
 //! phasors, so that neighbouring patterns share most of it and opposite ones
 //! nothing.
+//!
+//! u is the arc travelled: u = δ·`per_diameter`, δ in pupil diameters, wrapping
+//! after π diameters (π·√2 for a square pupil). Two readings Δ of arc apart
+//! correlate by the overlap law of their *chord*, sin Δ for a circle of radius
+//! ½: the same as Δ to 0.003 in γ up to Δ = 0.2, and up to 0.022 higher where
+//! it differs most, at 0.65, where γ itself is below 0.1. Between slices
+//! [`Slices::interpolation_error`] comes on top. A displacement across an
+//! elliptical pupil counts in widths along x and heights along y; the path of a
+//! square one turns through all directions, whose laws differ.
 
 use super::pattern::{Aperture, Pattern, PatternSpec, PhasorPlane};
 use crate::math::DVec2;
