@@ -19,6 +19,7 @@ fn count(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> usize {
             focal_length: 25.0,
             f_number: 8.0,
             focus_distance: 240.0,
+            aperture: crate::camera::Aperture::Circle,
         },
         sensor: Sensor {
             resolution: UVec2::new(COLUMNS, ROWS),
