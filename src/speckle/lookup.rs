@@ -9,10 +9,10 @@ use crate::error::Result;
 use glam::{Vec4, Vec4Swizzles};
 use serde::{Deserialize, Serialize};
 
-/// How the pattern is interpolated. Costs are for one otherwise idle core
-/// (AMD EPYC Milan, baseline x86-64), by `cargo bench --bench speckle`; losses
-/// are of contrast, anywhere between texels and slices, at N/d = 4 and 64
-/// slices.
+/// How the pattern is interpolated. Costs are the least of 40 runs of the row
+/// of pixels in `benches/speckle.rs` (one core of an AMD EPYC Milan, baseline
+/// x86-64; up to 1.7 times as much beside other work). Losses are of contrast,
+/// anywhere between texels and slices, at N/d = 4 and 64 slices.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
