@@ -11,7 +11,9 @@ pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
-pub use wave::{WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference};
+pub use wave::{
+    ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
+};
 
 use crate::error::{Error, Result};
 use crate::scene::Scene;

@@ -16,7 +16,7 @@ use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::{Source, SurfaceView};
-use crate::speckle::pattern::PatternSpec;
+use crate::speckle::pattern::{Aperture, PatternSpec};
 use rayon::prelude::*;
 
 pub struct Simulation<'s> {
@@ -152,14 +152,19 @@ impl<'s> Simulation<'s> {
     }
 }
 
+/// The patterns of a scan: ten slices a pupil diameter, 270 MB as fields.
+pub(super) fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
+    PatternSpec {
+        slices: 32,
+        aperture,
+        seed,
+        ..PatternSpec::default()
+    }
+}
+
 impl Patterns {
     fn new(scene: &Scene, model: &SpeckleModel) -> Result<Patterns> {
-        let spec = PatternSpec {
-            slices: 32,
-            aperture: model.aperture,
-            seed: scene.seed,
-            ..PatternSpec::default()
-        };
+        let spec = scan_patterns(scene.seed, model.aperture);
         let wavelength = scene.laser.beam.wavelength;
         let reference = scene.part_from_head(0);
         Ok(Patterns {

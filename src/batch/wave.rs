@@ -1,7 +1,7 @@
 //! The wave-optics reference: its own table of motions and line widths, and one
 //! patch of a scene.
 
-use super::simulation::{Simulation, surface_view};
+use super::simulation::{Simulation, scan_patterns, surface_view};
 use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
@@ -9,7 +9,9 @@ use crate::inspect::picture::encode_for_eyes;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::scene::Scene;
+use crate::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use crate::speckle::motion::{Motion, SurfaceView};
+use crate::speckle::pattern::Aperture;
 use crate::speckle::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field};
 use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise};
@@ -27,10 +29,20 @@ pub struct WaveEffort {
     pub seed: u64,
 }
 
+/// One motion: by waves, by formula, and as the pattern lookup shows it.
+#[derive(Debug, Serialize)]
+pub struct ComparedMotion {
+    #[serde(flatten)]
+    pub row: MotionRow,
+    /// Correlation of intensities read from the patterns of a scan at u and
+    /// u + δ; the displacement is the formula's by construction.
+    pub gamma_texture: f64,
+}
+
 /// `wave.json`.
 #[derive(Debug, Serialize)]
 pub struct WaveSummary {
-    pub motions: Vec<MotionRow>,
+    pub motions: Vec<ComparedMotion>,
     /// Empty for a scene's patch.
     pub centroids: Vec<CentroidRow>,
     pub pictures: Vec<PathBuf>,
@@ -58,15 +70,13 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         realisations: effort.realisations,
         seed: effort.seed,
     })?;
+    let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
+    files::write_bytes(&pictures[0], motion_plot(&motions).as_bytes())?;
     let summary = WaveSummary {
-        pictures: vec![out.join("motion.svg"), out.join("centroid.svg")],
-        motions,
+        motions: compared(motions, effort.seed)?,
         centroids,
+        pictures,
     };
-    files::write_bytes(
-        &summary.pictures[0],
-        motion_plot(&summary.motions).as_bytes(),
-    )?;
     files::write_bytes(
         &summary.pictures[1],
         centroid_plot(&summary.centroids).as_bytes(),
@@ -104,10 +114,12 @@ pub fn wave_patch(
     };
     let motions = measured(&cases, &sampling, control)?;
     let image = line_image(scene, &view, effort.seed)?;
+    let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
+    files::write_bytes(&pictures[1], motion_plot(&motions).as_bytes())?;
     let summary = WaveSummary {
-        motions,
+        motions: compared(motions, effort.seed)?,
         centroids: Vec::new(),
-        pictures: vec![out.join("patch.png"), out.join("motion.svg")],
+        pictures,
     };
     let brightest = image.intensity.iter().copied().fold(0.0, f64::max);
     // Rows from top to bottom; a black picture where there is no light.
@@ -122,10 +134,6 @@ pub fn wave_patch(
         .collect();
     let png = encode_for_eyes(&counts, width, u16::MAX);
     files::write_bytes(&summary.pictures[0], &png)?;
-    files::write_bytes(
-        &summary.pictures[1],
-        motion_plot(&summary.motions).as_bytes(),
-    )?;
     files::write_json(&out.join("wave.json"), &summary)?;
     Ok(summary)
 }
@@ -145,6 +153,33 @@ fn measured(
         (control.progress)(i as u64 + 1);
     }
     Ok(rows)
+}
+
+/// Adds what the patterns of a scan show for each δ: the correlation of 2¹⁸
+/// readings a grain apart, at four places round the ring of slices.
+fn compared(motions: Vec<MotionRow>, seed: u64) -> Result<Vec<ComparedMotion>> {
+    let spec = scan_patterns(seed, Aperture::Circle);
+    let lookup = Lookup::new(&spec, Method::Field, Coherence::FULL)?;
+    let readings = |u: f64| -> Vec<f64> {
+        (0..1 << 18)
+            .map(|i| {
+                let (s, t) = ((i % 256) as f64 * 4.0, (i / 256 % 256) as f64 * 4.0);
+                let u = u + (i >> 16) as f64 * spec.slices as f64 / 4.0;
+                lookup.intensity(Coordinate { s, t, u }) as f64
+            })
+            .collect()
+    };
+    let start = readings(0.0);
+    let compare = |row: MotionRow| {
+        let moved = readings(row.delta * lookup.slices_per_diameter());
+        // Mean 1 and variance 1, exactly, over the ensemble.
+        let products = start.iter().zip(&moved).map(|(a, b)| (a - 1.0) * (b - 1.0));
+        ComparedMotion {
+            gamma_texture: products.sum::<f64>() / start.len() as f64,
+            row,
+        }
+    };
+    Ok(motions.into_iter().map(compare).collect())
 }
 
 /// Motions of the reference table: what its progress counts.

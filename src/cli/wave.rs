@@ -1,5 +1,5 @@
 use super::{Output, STOP};
-use crate::batch::{self, Control, WaveEffort, WaveSummary};
+use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
@@ -50,10 +50,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 
 fn text(summary: &WaveSummary) -> String {
     let mut text = format!(
-        "{:<34} {:>6} {:>6} {:>21} {:>18} {:>24}\n",
-        "motion", "δ", "γ law", "γ waves (95 %)", "moves, predicted", "waves, µm (95 %: ±)"
+        "{:<34} {:>6} {:>6} {:>8} {:>21} {:>18} {:>24}\n",
+        "motion",
+        "δ",
+        "γ law",
+        "texture",
+        "γ waves (95 %)",
+        "moves, predicted",
+        "waves, µm (95 %: ±)"
     );
-    for row in &summary.motions {
+    for ComparedMotion { row, gamma_texture } in &summary.motions {
         let gamma = row.waves.gamma;
         // Patterns that share nothing have no displacement to measure.
         let measured = row.waves.displacement.map_or("–".into(), |[x, y]| {
@@ -68,7 +74,7 @@ fn text(summary: &WaveSummary) -> String {
         });
         let _ = writeln!(
             text,
-            "{:<34} {:>6.3} {:>6.3} {:>7.3} ({:.3}–{:.3}) {:>8.1} {:>8.1} {measured}",
+            "{:<34} {:>6.3} {:>6.3} {gamma_texture:>8.3} {:>7.3} ({:.3}–{:.3}) {:>8.1} {:>8.1} {measured}",
             row.name,
             row.delta,
             row.gamma_defocused,
