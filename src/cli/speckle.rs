@@ -3,7 +3,6 @@ use crate::batch::{self, Control, SpeckleSummary};
 use crate::error::Result;
 use crate::speckle::pattern::{Aperture, PatternSpec};
 use crate::speckle::statistics::Check;
-use std::fmt::Write;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -59,6 +58,21 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     output.result(&summary, &text(&summary))
 }
 
+/// A row of the table: measured, theory, and the tolerance if there is one.
+fn row(name: &str, measured: f64, theory: f64, tolerance: Option<(f64, bool)>) -> String {
+    let within = match tolerance {
+        Some((tolerance, pass)) => {
+            format!("{tolerance:>9.4}{}", if pass { "" } else { "  FAILED" })
+        }
+        None => String::new(),
+    };
+    format!("{name:<44} {measured:>9.4} {theory:>9.4} {within}\n")
+}
+
+fn check(name: &str, c: &Check) -> String {
+    row(name, c.measured, c.theory, Some((c.tolerance, c.pass)))
+}
+
 fn text(summary: &SpeckleSummary) -> String {
     let s = &summary.statistics;
     let mut text = format!(
@@ -72,62 +86,40 @@ fn text(summary: &SpeckleSummary) -> String {
         "theory",
         "within"
     );
-    let mut row = |name: &str, measured: f64, theory: f64, tolerance: f64, pass: bool| {
-        let verdict = if pass { "" } else { "  FAILED" };
-        let _ = writeln!(
-            text,
-            "{name:<44} {measured:>9.4} {theory:>9.4} {tolerance:>9.4}{verdict}"
-        );
-    };
-    let mut check = |name: &str, c: &Check| row(name, c.measured, c.theory, c.tolerance, c.pass);
-    check("contrast", &s.contrast);
+    text += &check("contrast", &s.contrast);
     for p in &s.pixel_integration {
-        check(
-            &format!("contrast over pixels of {} grains", p.q),
-            &p.contrast,
-        );
+        let name = format!("contrast over pixels of {} grains", p.q);
+        text += &check(&name, &p.contrast);
     }
-    check("contrast of interpolated fields", &s.slices.field_contrast);
-    row(
-        "contrast of the trilinear method",
-        s.slices.trilinear_contrast,
-        1.0,
-        f64::NAN,
-        true,
-    );
-    let ks = &s.exponential;
-    row(
-        "distance to exponential intensities",
-        ks.distance,
-        0.0,
-        ks.critical,
-        ks.pass,
-    );
-    let a = &s.autocovariance;
-    row(
-        "autocovariance, largest error",
-        a.largest_error,
-        0.0,
-        a.tolerance,
-        a.pass,
-    );
-    let c = &s.slices.correlation;
-    row(
-        "correlation of slices, largest error",
-        c.largest_error,
-        0.0,
-        c.tolerance,
-        c.pass,
-    );
+    text += &check("contrast of interpolated fields", &s.slices.field_contrast);
+    let trilinear = s.slices.trilinear_contrast;
+    text += &row("contrast of the trilinear method", trilinear, 1.0, None);
+    for (name, error, tolerance, pass) in [
+        (
+            "distance to exponential intensities",
+            s.exponential.distance,
+            s.exponential.critical,
+            s.exponential.pass,
+        ),
+        (
+            "autocovariance, largest error",
+            s.autocovariance.largest_error,
+            s.autocovariance.tolerance,
+            s.autocovariance.pass,
+        ),
+        (
+            "correlation of slices, largest error",
+            s.slices.correlation.largest_error,
+            s.slices.correlation.tolerance,
+            s.slices.correlation.pass,
+        ),
+    ] {
+        text += &row(name, error, 0.0, Some((tolerance, pass)));
+    }
     for grain in &summary.grains {
         let name = format!("grain of 300 mm at f/{} (FWHM), µm", grain.f_number);
-        row(&name, grain.fwhm_um, grain.fwhm_theory_um, f64::NAN, true);
+        text += &row(&name, grain.fwhm_um, grain.fwhm_theory_um, None);
     }
-    let _ = writeln!(
-        text,
-        "\n{}\n{}",
-        summary.pattern.display(),
-        summary.picture.display()
-    );
-    text.replace("      NaN", "        –")
+    let (pattern, picture) = (summary.pattern.display(), summary.picture.display());
+    text + &format!("\n{pattern}\n{picture}\n")
 }

@@ -166,26 +166,23 @@ impl Frame<'_> {
             let Some((received, shadow_ray)) = hit.and_then(|hit| self.light_at(&hit)) else {
                 continue;
             };
-            let speckle = self
-                .view
-                .speckle
-                .map_or(1.0, |speckle| speckle.intensity(self.view.camera, pixel(i)));
             let radiance = self.view.surface.radiance(received);
-            let irradiance = radiance * speckle * self.solid_angle(to_sensor(i));
+            let irradiance = radiance * self.solid_angle(to_sensor(i));
             shadow_rays[seen] = shadow_ray;
-            lit[seen] = (
-                (first + i) / self.side,
-                irradiance * per_sample * per_sample,
-            );
+            lit[seen] = (i, irradiance * per_sample * per_sample);
             seen += 1;
         }
         if seen == 0 {
             return;
         }
         let blocked = self.view.accel.occluded(&shadow_rays[..seen]);
-        for (i, &(column, irradiance)) in lit[..seen].iter().enumerate() {
-            if blocked >> i & 1 == 0 {
-                sums[column] += irradiance;
+        for (bit, &(i, irradiance)) in lit[..seen].iter().enumerate() {
+            if blocked >> bit & 1 == 0 {
+                let speckle = self
+                    .view
+                    .speckle
+                    .map_or(1.0, |speckle| speckle.intensity(self.view.camera, pixel(i)));
+                sums[(first + i) / self.side] += irradiance * speckle;
             }
         }
     }

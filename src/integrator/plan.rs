@@ -53,8 +53,9 @@ pub struct SpeckleOptics {
     pub per_pixel: bool,
 }
 
-/// Relative error of speckle contrast that sampling may cause.
-const CONTRAST_TOLERANCE: f64 = 0.01;
+/// Relative error of speckle contrast that sampling may cause: what the law of
+/// centroid noise is good to.
+const CONTRAST_TOLERANCE: f64 = 0.03;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;

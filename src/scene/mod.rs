@@ -2,6 +2,7 @@
 
 mod file;
 mod locate;
+mod optics;
 mod resolve;
 
 pub use file::{SceneFile, schema};

@@ -51,6 +51,10 @@ impl GrainMap {
     /// has modulus exp(−g·x).
     fn flatten(&self, z: DVec2) -> DVec2 {
         let g = self.relative_gradient;
+        // An untilted sensor's map is linear, and most sensors are untilted.
+        if g == DVec2::ZERO {
+            return z;
+        }
         let cz = DVec2::new(g.x * z.x + g.y * z.y, g.x * z.y - g.y * z.x);
         // The series' next term is |cz|⁴/120 < 1e-10, where the closed form
         // has begun to cancel.

@@ -1,0 +1,260 @@
+//! Laser, camera and speckle of a scene file, validated.
+
+use super::file::{ApertureShape, CameraTable, LaserTable, ProfileName, SceneFile, SpeckleMethod};
+use super::resolve::{Resolver, SpeckleModel};
+use crate::camera::{Aperture, Camera, Lens, Noise, Sensor};
+use crate::error::Result;
+use crate::laser::{Beam, Fan, FanProfile, Laser};
+use crate::math::{DVec2, DVec3, Rigid};
+use crate::speckle::lookup::{Coherence, Method};
+use crate::speckle::pattern;
+use glam::UVec2;
+
+impl Resolver<'_> {
+    pub(super) fn laser(&self, table: &LaserTable) -> Result<Laser> {
+        let beam = Beam {
+            wavelength: self.positive(table.wavelength_nm, "laser.wavelength_nm")? * 1e-6,
+            power_mw: table.power_mw,
+            waist_radius: self.positive(table.waist_radius_um, "laser.waist_radius_um")? * 1e-3,
+            waist_distance: table.waist_distance_mm,
+            m_squared: table.m_squared,
+        };
+        self.lengths([table.waist_distance_mm], "laser.waist_distance_mm")?;
+        self.check(
+            table.power_mw.is_finite() && table.power_mw >= 0.0,
+            "laser.power_mw",
+            "a finite number >= 0",
+        )?;
+        self.check(
+            table.m_squared.is_finite() && table.m_squared >= 1.0,
+            "laser.m_squared",
+            "a finite number >= 1",
+        )?;
+        let smallest = 2.0 * beam.m_squared * beam.wavelength / std::f64::consts::PI * 1e3;
+        self.check(
+            beam.divergence() <= 0.5,
+            "laser.waist_radius_um",
+            &format!(
+                "at least {smallest:.4}: below, the beam spreads by more than 0.5 rad and \
+                 is not paraxial"
+            ),
+        )?;
+        let Some(line) = &table.line else {
+            return Ok(Laser { beam, fan: None });
+        };
+        self.check(
+            line.fan_deg > 0.0 && line.fan_deg < 180.0,
+            "laser.line.fan_deg",
+            "an angle above 0 and below 180",
+        )?;
+        let fan = Fan {
+            angle: line.fan_deg.to_radians(),
+            profile: match line.profile {
+                ProfileName::Uniform => FanProfile::Uniform,
+                ProfileName::Gaussian => FanProfile::Gaussian,
+            },
+        };
+        Ok(Laser {
+            beam,
+            fan: Some(fan),
+        })
+    }
+
+    /// A point laser has no line direction of its own: its measuring plane is the
+    /// one through the beam along the camera's columns.
+    pub(super) fn laser_pose(&self, table: &LaserTable, head_from_camera: &Rigid) -> Result<Rigid> {
+        let origin = self.lengths(table.position_mm, "laser.position_mm")?;
+        let z = self.direction(table.direction, "laser.direction")?;
+        let (line, key) = match &table.line {
+            Some(line) => (
+                self.direction(line.direction, "laser.line.direction")?,
+                "laser.line.direction",
+            ),
+            None => (head_from_camera.rotation.x_axis, "laser.direction"),
+        };
+        Rigid::from_z_and_x(origin.into(), z, line).ok_or_else(|| {
+            self.source.wrong(
+                key,
+                "the line (a point laser: the camera's columns) not to be along the beam",
+            )
+        })
+    }
+
+    /// Checked whether speckle is on or off: a mistake is one either way.
+    pub(super) fn speckle(
+        &self,
+        file: &SceneFile,
+        laser: &Laser,
+        camera: &Camera,
+    ) -> Result<Option<SpeckleModel>> {
+        let polarisation_degree = file.part.polarisation_degree;
+        self.check(
+            (0.0..=1.0).contains(&polarisation_degree),
+            "part.polarisation_degree",
+            "a number from 0 to 1",
+        )?;
+        let patterns = file.laser.independent_patterns;
+        self.check(
+            (1..=64).contains(&patterns),
+            "laser.independent_patterns",
+            "from 1 to 64",
+        )?;
+        let q = camera.sensor.pixel_pitch / camera.speckle_size(laser.beam.wavelength);
+        let method = match file.speckle_method {
+            SpeckleMethod::Field => Method::Field,
+            SpeckleMethod::Trilinear => Method::Trilinear,
+            SpeckleMethod::Prefiltered => {
+                self.check(
+                    (0.5..=32.0).contains(&q),
+                    "speckle_method",
+                    &format!("field: a pixel is {q:.2} grains wide, prefiltered takes 0.5 to 32"),
+                )?;
+                Method::Prefiltered { q }
+            }
+        };
+        Ok(file.speckle.then_some(SpeckleModel {
+            method,
+            coherence: Coherence {
+                polarisation_degree,
+                independent_patterns: patterns as usize,
+            },
+            aperture: match camera.lens.aperture {
+                Aperture::Circle => pattern::Aperture::Circle,
+                Aperture::Ellipse(ratio) => pattern::Aperture::Ellipse { ratio },
+                Aperture::Square => pattern::Aperture::Square,
+            },
+        }))
+    }
+
+    pub(super) fn camera(&self, table: &CameraTable) -> Result<Camera> {
+        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
+        let lens = Lens {
+            focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
+            f_number: positive(table.f_number, "f_number")?,
+            focus_distance: positive(table.focus_distance_mm, "focus_distance_mm")?,
+            aperture: match table.aperture {
+                ApertureShape::Circle => Aperture::Circle,
+                ApertureShape::Ellipse(ratio) => Aperture::Ellipse(ratio),
+                ApertureShape::Square => Aperture::Square,
+            },
+        };
+        if let Aperture::Ellipse(ratio) = lens.aperture {
+            // Narrower, a pattern holds too few phasors to be fully developed.
+            self.check(
+                (0.1..=1.0).contains(&ratio),
+                "camera.aperture",
+                "an ellipse with height / width from 0.1 to 1",
+            )?;
+        }
+        self.check(
+            lens.focus_distance > lens.focal_length,
+            "camera.focus_distance_mm",
+            "a distance beyond the focal length",
+        )?;
+        let sensor = self.sensor(table)?;
+        let tilt = table.tilt_deg;
+        self.check(
+            tilt.iter().all(|t| t.abs() <= 80.0),
+            "camera.tilt_deg",
+            "angles from -80 to 80",
+        )?;
+        let camera = Camera {
+            lens,
+            sensor,
+            tilt: DVec2::from(tilt).map(f64::to_radians),
+        };
+        // A tilted sensor must stay in front of the lens it is drawn before.
+        let [columns, rows] = table.resolution_px;
+        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
+        self.check(
+            corners
+                .iter()
+                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
+            "camera.tilt_deg",
+            "a tilt at which the sensor's corners stay behind the lens",
+        )?;
+        Ok(camera)
+    }
+
+    fn sensor(&self, table: &CameraTable) -> Result<Sensor> {
+        let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
+        let [columns, rows] = table.resolution_px;
+        self.check(
+            (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
+            "camera.resolution_px",
+            "from 1 to 65536 columns and rows",
+        )?;
+        let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
+        self.check(
+            efficiency <= 1.0,
+            "camera.quantum_efficiency",
+            "a number above 0 and at most 1",
+        )?;
+        self.check(
+            (8..=16).contains(&table.bit_depth),
+            "camera.bit_depth",
+            "from 8 to 16",
+        )?;
+        let not_negative = |value: f64, key: &str| {
+            let holds = value.is_finite() && value >= 0.0;
+            self.check(holds, &format!("camera.{key}"), "a finite number >= 0")
+                .map(|()| value)
+        };
+        let noise = match table.read_noise_e {
+            Some(e) => Some(Noise {
+                read_noise_e: not_negative(e, "read_noise_e")?,
+            }),
+            None => None,
+        };
+        Ok(Sensor {
+            resolution: UVec2::new(columns, rows),
+            pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
+            exposure_ms: positive(table.exposure_ms, "exposure_ms")?,
+            quantum_efficiency: efficiency,
+            gain_dn_per_e: positive(table.gain_dn_per_e, "gain_dn_per_e")?,
+            bit_depth: table.bit_depth,
+            full_well_e: positive(table.full_well_e, "full_well_e")?,
+            black_level_dn: not_negative(table.black_level_dn, "black_level_dn")?,
+            noise,
+        })
+    }
+
+    pub(super) fn camera_pose(&self, table: &CameraTable) -> Result<Rigid> {
+        let origin: DVec3 = self
+            .lengths(table.position_mm, "camera.position_mm")?
+            .into();
+        let target: DVec3 = self.lengths(table.look_at_mm, "camera.look_at_mm")?.into();
+        let columns = self.direction(table.columns, "camera.columns")?;
+        let z = (target - origin).try_normalize().ok_or_else(|| {
+            self.source
+                .wrong("camera.look_at_mm", "another point than camera.position_mm")
+        })?;
+        Rigid::from_z_and_x(origin, z, columns).ok_or_else(|| {
+            self.source
+                .wrong("camera.columns", "a direction that is not the optical axis")
+        })
+    }
+
+    /// Height shows in a column as far as the camera stands off the laser plane,
+    /// and a column holds one point of a line only if the line crosses it.
+    pub(super) fn triangulation(
+        &self,
+        head_from_laser: &Rigid,
+        head_from_camera: &Rigid,
+    ) -> Result<()> {
+        let normal = head_from_laser.rotation.y_axis;
+        let offset = normal.dot(head_from_camera.translation - head_from_laser.translation);
+        self.check(
+            offset.abs() > 1e-3,
+            "camera.position_mm",
+            "a point off the laser plane (by more than 1 µm): in it, height does not show",
+        )?;
+        let columns = head_from_camera.rotation.x_axis;
+        let line = head_from_laser.rotation.x_axis;
+        self.check(
+            columns.dot(line).abs() > 0.5f64.sqrt(),
+            "camera.columns",
+            "a direction within 45° of the laser line, so that each column sees one point of it",
+        )
+    }
+}
