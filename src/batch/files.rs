@@ -1,6 +1,7 @@
 //! Output files appear whole or not at all.
 
 use crate::error::{Error, Result};
+use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -45,6 +46,28 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write(path, |out| {
         serde_json::to_writer_pretty(&mut *out, value)?;
         out.write_all(b"\n")
+    })
+}
+
+/// Writes an EXR of `size` (columns, rows) with these channels.
+pub fn write_exr<const N: usize>(
+    path: &Path,
+    size: (usize, usize),
+    channels: [(&str, FlatSamples); N],
+) -> Result<()> {
+    let channels = channels
+        .into_iter()
+        .map(|(name, samples)| AnyChannel::new(name, samples))
+        .collect();
+    let image = Image::from_channels(size, AnyChannels::sort(channels));
+    write(path, |file| {
+        image
+            .write()
+            .to_buffered(file)
+            .map_err(|error| match error {
+                exr::error::Error::Io(io) => io,
+                other => io::Error::other(other),
+            })
     })
 }
 

@@ -5,9 +5,8 @@ use crate::error::Result;
 use crate::inspect::picture::encode_counts;
 use crate::integrator::truth_layers;
 use crate::scene::Scene;
-use exr::prelude::*;
+use exr::prelude::FlatSamples;
 use serde::Serialize;
-use std::io;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Serialize)]
@@ -52,22 +51,8 @@ pub fn render(
         ("normal.Z", component(&truth.normal, 2)),
         ("triangle", FlatSamples::U32(truth.triangle)),
     ];
-    let channels = AnyChannels::sort(
-        channels
-            .into_iter()
-            .map(|(name, samples)| AnyChannel::new(name, samples))
-            .collect(),
-    );
     let size = (resolution.x as usize, resolution.y as usize);
-    files::write(&exr_path, |file| {
-        Image::from_channels(size, channels)
-            .write()
-            .to_buffered(file)
-            .map_err(|error| match error {
-                exr::error::Error::Io(io) => io,
-                other => io::Error::other(other),
-            })
-    })?;
+    files::write_exr(&exr_path, size, channels)?;
     Ok(RenderSummary {
         frame,
         png,

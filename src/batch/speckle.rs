@@ -9,10 +9,9 @@ use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::pattern::{PatternSpec, PhasorPlane};
 use crate::speckle::statistics::{SpeckleStatistics, measure};
 use base64::Engine;
-use exr::prelude::*;
+use exr::prelude::FlatSamples;
 use serde::Serialize;
 use std::fmt::Write;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -87,20 +86,7 @@ fn write_pattern(path: &Path, spec: &PatternSpec) -> Result<()> {
         ("field.re", of(|a| a.re)),
         ("field.im", of(|a| a.im)),
     ];
-    let channels = channels
-        .into_iter()
-        .map(|(name, samples)| AnyChannel::new(name, samples))
-        .collect();
-    let image = Image::from_channels((spec.size, spec.size), AnyChannels::sort(channels));
-    files::write(path, |file| {
-        image
-            .write()
-            .to_buffered(file)
-            .map_err(|error| match error {
-                exr::error::Error::Io(io) => io,
-                other => io::Error::other(other),
-            })
-    })
+    files::write_exr(path, (spec.size, spec.size), channels)
 }
 
 /// Draws the grain of both stops side by side, and measures it.

@@ -6,48 +6,33 @@ use crate::math::DVec3;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;
 
-/// PNG of an 8-bit RGB picture, row by row.
-fn encode_rgb(pixels: &[[u8; 3]], width: usize) -> Vec<u8> {
+fn encode(samples: &[u8], width: usize, height: usize, color: ExtendedColorType) -> Vec<u8> {
     let mut png = Vec::new();
     PngEncoder::new(&mut png)
-        .write_image(
-            pixels.as_flattened(),
-            width as u32,
-            (pixels.len() / width) as u32,
-            ExtendedColorType::Rgb8,
-        )
+        .write_image(samples, width as u32, height as u32, color)
         .expect("writing to memory does not fail");
     png
 }
 
 /// PNG of 16-bit sensor counts as they are, row by row.
 pub fn encode_counts(counts: &[u16], width: usize) -> Vec<u8> {
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(
-            // The encoder takes native-endian samples and swaps them itself.
-            &counts
-                .iter()
-                .flat_map(|c| c.to_ne_bytes())
-                .collect::<Vec<u8>>(),
-            width as u32,
-            (counts.len() / width) as u32,
-            ExtendedColorType::L16,
-        )
-        .expect("writing to memory does not fail");
-    png
+    // The encoder takes native-endian samples and swaps them itself.
+    let samples: Vec<u8> = counts.iter().flat_map(|c| c.to_ne_bytes()).collect();
+    encode(
+        &samples,
+        width,
+        counts.len() / width,
+        ExtendedColorType::L16,
+    )
 }
 
 /// PNG of counts for people: 8 bits, gamma 2.2, so that faint light shows.
 pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> {
-    let pixels: Vec<[u8; 3]> = counts
+    let samples: Vec<u8> = counts
         .iter()
-        .map(|&c| {
-            let level = (c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0;
-            [level.round() as u8; 3]
-        })
+        .map(|&c| ((c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0).round() as u8)
         .collect();
-    encode_rgb(&pixels, width)
+    encode(&samples, width, counts.len() / width, ExtendedColorType::L8)
 }
 
 /// Grey and depth of the part along each ray; both stay where it is missed.
@@ -153,5 +138,10 @@ pub fn cloud_picture(
             }
         }
     }
-    encode_rgb(&pixels, width)
+    encode(
+        pixels.as_flattened(),
+        width,
+        height,
+        ExtendedColorType::Rgb8,
+    )
 }
