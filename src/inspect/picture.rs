@@ -2,7 +2,7 @@
 
 use super::cloud::CloudPoint;
 use crate::accel::{Accel, Ray, WIDTH};
-use crate::math::DVec3;
+use crate::math::{Aabb, DVec3};
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;
 
@@ -73,6 +73,14 @@ pub struct ParallelView {
     pub down: DVec3,
 }
 
+/// Least and greatest coordinate of a box along a unit vector.
+fn extent(bounds: &Aabb, axis: DVec3) -> (f64, f64) {
+    let along = bounds.corners().map(|c| c.dot(axis));
+    let low = along.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (low, high)
+}
+
 /// PNG of the part in grey with the cloud's points coloured by deviation
 /// (±`limit`, mm). Points behind the surface are hidden.
 pub fn cloud_picture(
@@ -84,15 +92,9 @@ pub fn cloud_picture(
 ) -> Vec<u8> {
     let bounds = accel.bounds();
     let into = view.right.cross(view.down);
-    let extent = |axis: DVec3| {
-        let along = bounds.corners().map(|c| c.dot(axis));
-        let low = along.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        (low, high)
-    };
-    let (left, right) = extent(view.right);
-    let (top, bottom) = extent(view.down);
-    let (near, far) = extent(into);
+    let (left, right) = extent(&bounds, view.right);
+    let (top, bottom) = extent(&bounds, view.down);
+    let (near, far) = extent(&bounds, into);
     let margin = 0.04 * (right - left).max(bottom - top);
     let scale = width as f64 / (right - left + 2.0 * margin);
     let height = (((bottom - top + 2.0 * margin) * scale).ceil() as usize).clamp(1, 4 * width);
