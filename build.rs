@@ -21,6 +21,7 @@ fn main() {
     let expanded = cc::Build::new()
         .file("ffi/embree.c")
         .cargo_warnings(false)
+        .cargo_metadata(false)
         .try_expand();
     let source = match expanded {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
@@ -38,6 +39,8 @@ fn main() {
     shim.compile("lasertrace_embree");
     println!("cargo::rustc-link-lib=dylib={library}");
 
+    // Without libclang bindgen panics; the sentence below says it better.
+    std::panic::set_hook(Box::new(|_| ()));
     let bindings = std::panic::catch_unwind(|| {
         bindgen::Builder::default()
             .header("ffi/embree.h")
@@ -47,6 +50,7 @@ fn main() {
             .prepend_enum_name(false)
             .generate()
     });
+    let _ = std::panic::take_hook();
     let Ok(Ok(bindings)) = bindings else {
         fail(
             "libclang is needed to read Embree's headers: on Debian run `apt-get install libclang-dev`",
