@@ -97,12 +97,12 @@ pub fn color_bar(limit_um: f64) -> String {
     svg
 }
 
-/// Three significant digits, without an exponent.
+/// Three significant digits, four decimals at the most, without an exponent.
 pub fn short(value: f64) -> String {
-    if value == 0.0 {
+    if value.abs() < 5e-5 {
         return "0".into();
     }
-    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 4) as usize;
     format!("{value:.digits$}")
 }
 
@@ -112,8 +112,8 @@ mod tests {
 
     #[test]
     fn short_numbers_keep_three_digits() {
-        let texts = [0.0, 12345.6, 1.5, -0.01234].map(short);
-        assert_eq!(texts, ["0", "12346", "1.50", "-0.0123"]);
+        let texts = [0.0, -1e-12, 12345.6, 1.5, -0.01234].map(short);
+        assert_eq!(texts, ["0", "0", "12346", "1.50", "-0.0123"]);
     }
 
     #[test]

@@ -142,7 +142,7 @@ impl Plan {
                 format!(
                     "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px",
                     self.line_half_width_px,
-                    sampling_error(sigma, n)
+                    sampling_error(sigma, n).max(1e-6)
                 ),
             ),
             effect(
