@@ -10,7 +10,7 @@ use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::picture::{ParallelView, cloud_picture, encode_counts, encode_for_eyes};
 use crate::inspect::report::{Report, SampleFrame};
 use crate::math::DVec3;
-use crate::profile::Peak;
+use crate::profile::{Peak, find_peaks};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -86,7 +86,7 @@ pub fn scan(
         .collect::<Result<_>>()?;
     let measured = Instant::now();
 
-    let (shown, sample) = sample_frame(&simulation, &points);
+    let sample = sample_frame(&simulation, &points);
     let points = points.concat();
     let summary = ScanSummary {
         scene: scene.path.clone(),
@@ -100,7 +100,7 @@ pub fn scan(
     };
     files::write_bytes(&summary.pictures[0], &sample.png)?;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
-    let report = report(&simulation, &points, &summary, sample, shown);
+    let report = report(&simulation, &points, &summary, sample);
     files::write_bytes(&summary.pictures[1], &report.views[1].1)?;
     files::write_bytes(&summary.report, report.html().as_bytes())?;
     files::write_json(&out.join("summary.json"), &summary)?;
@@ -170,7 +170,7 @@ fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<(
 }
 
 /// The frame with the greatest spread of depth: there is most to see.
-fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> (u32, SampleFrame) {
+fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> SampleFrame {
     let scene = simulation.scene;
     let up = scene
         .world_from_part
@@ -189,18 +189,17 @@ fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> (u32, Sa
         .unwrap_or(0) as u32;
     let sensor = &scene.camera.sensor;
     let counts = simulation.counts(shown, &simulation.irradiance(shown));
-    let (peaks, _) = simulation.measure(shown, &counts);
-    let frame = SampleFrame {
+    let columns = sensor.resolution.x as usize;
+    SampleFrame {
         number: shown,
-        png: encode_for_eyes(&counts, sensor.resolution.x as usize, sensor.max_count()),
+        png: encode_for_eyes(&counts, columns, sensor.max_count()),
         width: sensor.resolution.x,
         height: sensor.resolution.y,
-        line: peaks
+        line: find_peaks(&counts, columns)
             .iter()
             .map(|p| (p.column as f64 + 0.5, p.row))
             .collect(),
-    };
-    (shown, frame)
+    }
 }
 
 fn report<'a>(
@@ -208,7 +207,6 @@ fn report<'a>(
     points: &[CloudPoint],
     summary: &ScanSummary,
     frame: SampleFrame,
-    shown: u32,
 ) -> Report<'a> {
     let scene = simulation.scene;
     let deviations_um: Vec<f64> = points.iter().map(|p| p.deviation * 1e3).collect();
@@ -220,17 +218,13 @@ fn report<'a>(
         .map_or(1.0, |&d| d.max(1e-3));
     let plan = &simulation.plan;
     Report {
-        title: scene
-            .path
-            .file_stem()
-            .and_then(|s| s.to_str())
-            .map_or("scan", |_| "Laser-triangulation scan"),
+        title: "Laser-triangulation scan",
         facts: vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{} triangles", scene.mesh.triangles.len())),
             (
                 "frames",
-                format!("{} (frame {shown} shown below)", summary.frames),
+                format!("{} (frame {} shown below)", summary.frames, frame.number),
             ),
             (
                 "columns with a point",
