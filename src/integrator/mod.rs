@@ -3,10 +3,12 @@
 mod blocks;
 mod direct;
 mod footprint;
+mod geometric;
 pub mod plan;
 mod sight;
 mod truth;
 
 pub use direct::{Speckle, View, footprint_image, irradiance_image};
+pub use geometric::{LinePoint, Sheet};
 pub use plan::Plan;
 pub use truth::{Truth, truth_layers};
