@@ -137,6 +137,7 @@ impl<'s> Simulation<'s> {
             finder: measure.finder,
             choice: measure.choice,
             max_count: camera.sensor.saturation_count(),
+            expected_sigma: self.plan.line_half_width_px / 2.0,
         }
     }
 

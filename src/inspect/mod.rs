@@ -5,4 +5,5 @@ pub mod chart;
 pub mod cloud;
 pub mod deviation;
 pub mod picture;
+pub mod plot;
 pub mod report;

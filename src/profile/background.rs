@@ -6,18 +6,18 @@ pub const FALSE_PEAKS_PER_FRAME: f64 = 1e-3;
 /// Standard deviation of rounding to whole counts.
 const ROUNDING: f64 = 0.288_675_134_594_812_9;
 
-/// Mean and noise of a column without its line, counts.
+/// What a column holds without its line, counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Background {
     pub mean: f64,
     pub noise: f64,
+    /// Height above the mean from which on a pixel is no noise.
+    pub threshold: f64,
 }
 
-/// Height above background, in standard deviations of the noise, that normal
-/// noise passes [`FALSE_PEAKS_PER_FRAME`] times a frame: the quantile of one in
-/// `pixels`, of Student's t for a noise that is itself estimated from the `rows`
-/// of a column (first term of Fisher & Cornish 1960). 6.1 for 1280 × 512 pixels.
-pub(super) fn detection_sigmas(pixels: usize, rows: usize) -> f64 {
+/// Standard deviations that normal noise passes [`FALSE_PEAKS_PER_FRAME`] times in
+/// a frame of `pixels`: 6.0 for 1280 × 512.
+pub(super) fn detection_sigmas(pixels: usize) -> f64 {
     let chance = FALSE_PEAKS_PER_FRAME / pixels as f64;
     let exceeds = |z: f64| 0.5 * libm::erfc(z / std::f64::consts::SQRT_2);
     let (mut low, mut high) = (0.0, 40.0);
@@ -29,14 +29,28 @@ pub(super) fn detection_sigmas(pixels: usize, rows: usize) -> f64 {
             high = middle;
         }
     }
-    low + (low.powi(3) + low) / (4.0 * rows as f64)
+    low
+}
+
+/// The same quantile `z` where the deviation is itself estimated with `freedom`
+/// degrees of freedom: Student's t, by the first two terms of Fisher & Cornish
+/// (1960).
+fn students_quantile(z: f64, freedom: f64) -> f64 {
+    let first = (z.powi(3) + z) / 4.0;
+    let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
+    z + first / freedom + second / (freedom * freedom)
 }
 
 /// Background of the column, whose greatest count is `highest`: from the median
 /// and its absolute deviation (×1.4826 for normal noise, and one count for what
 /// rounding hides), what lies further than four deviations off is left out, again
-/// and again until nothing changes.
-pub(super) fn background(column: &[u16], highest: u16, scratch: &mut Vec<u16>) -> Background {
+/// and again until nothing changes. The threshold is [`students_quantile`] of `z`.
+pub(super) fn background(
+    column: &[u16],
+    highest: u16,
+    z: f64,
+    scratch: &mut Vec<u16>,
+) -> Background {
     scratch.clear();
     scratch.extend_from_slice(column);
     let middle = scratch.len() / 2;
@@ -58,25 +72,38 @@ pub(super) fn background(column: &[u16], highest: u16, scratch: &mut Vec<u16>) -
         mean = sum as f64 / n as f64;
         sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
     }
-    if mean < 3.0 * sigma {
-        sigma = sigma.max(upper_deviation(column, median, mean + 4.0 * sigma));
+    let mut freedom = column.len() as f64;
+    if sigma > 0.0 && mean < 3.0 * sigma {
+        sigma = sigma.max(upper_deviation(column, median, sigma));
+        freedom /= ONE_SIDED_VARIANCE;
     }
+    let noise = sigma.max(ROUNDING);
     Background {
         mean,
-        noise: sigma.max(ROUNDING),
+        noise,
+        threshold: students_quantile(z, freedom) * noise,
     }
 }
 
-/// Standard deviation by the counts above the median alone, half of all, up to
-/// `high`: where the black level lies in the noise the sensor cuts the lower half
-/// off, and a deviation from the mean would be too small by up to 1.7.
-fn upper_deviation(column: &[u16], median: u16, high: f64) -> f64 {
-    let (mut n, mut squares) = (0u32, 0u64);
-    for &count in column.iter().filter(|&&count| count as f64 <= high) {
-        n += 1;
-        squares += (count.saturating_sub(median) as u64).pow(2);
+/// Variance of a variance that is estimated from one half of normal noise over
+/// that from both: 5σ⁴ against 2σ⁴.
+const ONE_SIDED_VARIANCE: f64 = 2.5;
+
+/// Standard deviation by the counts above the median alone, half of all: where the
+/// black level lies in the noise, the sensor cuts the lower half off, and the
+/// deviation from the mean, `sigma`, is too small by up to 1.7.
+fn upper_deviation(column: &[u16], median: u16, mut sigma: f64) -> f64 {
+    sigma *= 1.7;
+    for _ in 0..3 {
+        let high = (median as f64 + 4.0 * sigma) as u16;
+        let (mut n, mut squares) = (0u64, 0u64);
+        for &count in column.iter().filter(|&&count| count <= high) {
+            n += 1;
+            squares += (count.saturating_sub(median) as u64).pow(2);
+        }
+        sigma = (2.0 * squares as f64 / n as f64).sqrt();
     }
-    (2.0 * squares as f64 / n.max(1) as f64).sqrt()
+    sigma
 }
 
 /// Number, sum and sum of squares of the counts from `low` to `high`.
@@ -112,9 +139,10 @@ mod tests {
     #[test]
     fn the_threshold_is_the_quantile() {
         let pixels = (FALSE_PEAKS_PER_FRAME / 9.866e-10) as usize;
-        assert!((detection_sigmas(pixels, usize::MAX / 8) - 6.0).abs() < 1e-3);
-        // (6³ + 6)/(4·512)
-        assert!((detection_sigmas(pixels, 512) - 6.1084).abs() < 1e-3);
+        assert!((detection_sigmas(pixels) - 6.0).abs() < 1e-3);
+        // One-sided 0.0005 of Student's t with 30 degrees of freedom, by tables;
+        // the third term is 0.01.
+        assert!((students_quantile(3.2905, 30.0) - 3.646).abs() < 0.02);
     }
 
     /// Noise of 3 counts on a black level amid the range, and cut at zero: the
@@ -136,7 +164,7 @@ mod tests {
                     .map(|_| (black + normal.sample(&mut stream)).max(0.0).round() as u16)
                     .collect();
                 let highest = *counts.iter().max().unwrap();
-                sum += background(&counts, highest, &mut Vec::new()).noise / 100.0;
+                sum += background(&counts, highest, 6.0, &mut Vec::new()).noise / 100.0;
             }
             let truth = (9.0f64 + 1.0 / 12.0).sqrt();
             let bound = bias + 5.0 * (2.5f64 / (2.0 * 50_000.0)).sqrt();

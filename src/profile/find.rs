@@ -6,7 +6,7 @@ use super::{Choice, Flags, Peak, PeakSettings};
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
-/// A line is wide above this many times the median width of the frame's lines.
+/// A line is wide above this many times the width of the frame's lines.
 pub const WIDE_RATIO: f64 = 2.0;
 /// A line is weak below this share of the median height of the frame's lines: a
 /// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
@@ -15,6 +15,10 @@ pub const WEAK_SHARE: f64 = 0.05;
 pub const WEAK_SNR: f64 = 10.0;
 /// A neighbour's line is cut off beyond this many line widths.
 pub const JUMP_SIGMAS: f64 = 3.0;
+
+/// A line narrower than this share of their width is the tail that an edge
+/// along it leaves: of a Gaussian cut beyond 1.5 σ.
+pub const NARROW_RATIO: f64 = 0.4;
 
 /// Columns that are gathered at once: a cache line of a row.
 const STRIP: usize = 32;
@@ -33,18 +37,18 @@ struct Column {
 /// columns.
 pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Vec<Peak> {
     let rows = counts.len() / columns;
-    let sigmas = detection_sigmas(counts.len(), rows);
+    let z = detection_sigmas(counts.len());
     let by_column = transposed(counts, columns);
     let mut scratch = Vec::with_capacity(rows);
     let found: Vec<Option<Column>> = by_column
         .chunks_exact(rows)
-        .map(|column| detect(column, sigmas, &mut scratch))
+        .map(|column| detect(column, z, &mut scratch))
         .collect();
     let width = 2.354_82 * median(found.iter().flatten().map(|c| c.sigma));
     let mut peaks = Vec::with_capacity(columns);
     for (number, (column, found)) in by_column.chunks_exact(rows).zip(&found).enumerate() {
         let Some(found) = found else { continue };
-        let (line, double) = chosen(column, found, sigmas, width, settings);
+        let (line, double) = chosen(column, found, width, settings);
         let Some((located, intensity)) = locate(&line, settings.finder) else {
             continue;
         };
@@ -64,7 +68,7 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
             flags,
         });
     }
-    compare(&mut peaks, columns);
+    compare(&mut peaks, columns, settings.expected_sigma);
     peaks
 }
 
@@ -85,15 +89,15 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
 }
 
 /// The highest line of a column, if it is one.
-fn detect(column: &[u16], sigmas: f64, scratch: &mut Vec<u16>) -> Option<Column> {
+fn detect(column: &[u16], z: f64, scratch: &mut Vec<u16>) -> Option<Column> {
     let &highest = column.iter().max()?;
-    let background = background(column, highest, scratch);
+    let background = background(column, highest, z, scratch);
     let height = highest as f64 - background.mean;
-    if height < sigmas * background.noise {
+    if height < background.threshold {
         return None;
     }
     let top = column.iter().position(|&count| count == highest)?;
-    let sigma = half_height_sigma(column, top, background.mean + height / 2.0);
+    let sigma = half_height_sigma(column, top, background.mean);
     Some(Column {
         background,
         top,
@@ -106,12 +110,13 @@ fn detect(column: &[u16], sigmas: f64, scratch: &mut Vec<u16>) -> Option<Column>
 fn chosen<'a>(
     column: &'a [u16],
     found: &Column,
-    sigmas: f64,
     width: f64,
     settings: &PeakSettings,
 ) -> (Line<'a>, bool) {
-    let Background { mean, noise } = found.background;
-    let level = mean + (sigmas * noise).max(CANDIDATE_SHARE * found.height);
+    let Background {
+        mean, threshold, ..
+    } = found.background;
+    let level = mean + threshold.max(CANDIDATE_SHARE * found.height);
     let tops = candidates(column, level.ceil() as u16, width);
     let top = match settings.choice {
         Choice::Strongest => found.top,
@@ -124,7 +129,7 @@ fn chosen<'a>(
         background: found.background,
         top,
         height,
-        sigma: half_height_sigma(column, top, mean + height / 2.0),
+        sigma: half_height_sigma(column, top, mean),
         max_count: settings.max_count,
     };
     (line, tops.len() > 1)
@@ -159,9 +164,9 @@ fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
 }
 
 /// Sets the flags that compare a line with its neighbours and with the others.
-fn compare(peaks: &mut [Peak], columns: usize) {
+fn compare(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
     let height = median(peaks.iter().map(|p| p.height));
-    let sigma = median(peaks.iter().map(|p| p.sigma));
+    let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
     let touching = |a: &Peak, b: &Peak| {
         let reach = (JUMP_SIGMAS * sigma.max(a.sigma.min(b.sigma))).max(1.0);
         a.column + 1 == b.column && (a.row - b.row).abs() <= reach
@@ -173,8 +178,9 @@ fn compare(peaks: &mut [Peak], columns: usize) {
         let after = last || peaks.get(i + 1).is_some_and(|next| touching(peak, next));
         let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
         let wide = peak.sigma > WIDE_RATIO * sigma;
+        let narrow = peak.sigma < NARROW_RATIO * sigma;
         let flags = &mut peaks[i].flags;
-        flags.set(Flags::EDGE, !(before && after));
+        flags.set(Flags::EDGE, !(before && after) || narrow);
         flags.set(Flags::WEAK, weak);
         flags.set(Flags::WIDE, wide);
     }

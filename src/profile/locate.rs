@@ -54,10 +54,19 @@ fn run(column: &[u16], top: usize, level: f64) -> std::ops::Range<usize> {
     top - before..top + after
 }
 
-/// Standard deviation of a Gaussian as wide at half height as the pixels around
-/// `top`.
-pub(super) fn half_height_sigma(column: &[u16], top: usize, level: f64) -> f64 {
-    run(column, top, level).len() as f64 / 2.354_82
+/// Standard deviation of a Gaussian as wide at half height as the line around
+/// `top`, its pixels' values being joined by straight lines.
+pub(super) fn half_height_sigma(column: &[u16], top: usize, background: f64) -> f64 {
+    let half = background + (column[top] as f64 - background) / 2.0;
+    let rows = run(column, top, half);
+    let end = |inner: usize, outer: Option<&u16>| {
+        let inner = column[inner] as f64;
+        let outer = outer.map_or(background, |&count| count as f64);
+        (inner - half) / (inner - outer)
+    };
+    let before = end(rows.start, rows.start.checked_sub(1).map(|i| &column[i]));
+    let after = end(rows.end - 1, column.get(rows.end));
+    ((rows.len() - 1) as f64 + before + after) / 2.354_82
 }
 
 /// Whether a pixel of the line's upper half reaches `max_count`.

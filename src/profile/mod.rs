@@ -12,6 +12,8 @@ mod peak;
 mod triangulate;
 
 pub use background::FALSE_PEAKS_PER_FRAME;
-pub use find::{CANDIDATE_SHARE, JUMP_SIGMAS, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, find_peaks};
+pub use find::{
+    CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, find_peaks,
+};
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use triangulate::Calibration;

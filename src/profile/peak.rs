@@ -35,17 +35,19 @@ bitflags! {
         /// least [`super::CANDIDATE_SHARE`] of the height of the column's
         /// highest, and is apart from it by the lines' width at half height.
         const DOUBLE = 1 << 1;
-        /// Wider than [`super::WIDE_RATIO`] times the median of the frame's lines.
+        /// Wider than [`super::WIDE_RATIO`] times the width of the frame's lines
+        /// (their median, or [`PeakSettings::expected_sigma`]).
         const WIDE = 1 << 2;
         /// Lower than [`super::WEAK_SHARE`] of the median height of the frame's
         /// lines, or than [`super::WEAK_SNR`] times the noise.
         const WEAK = 1 << 3;
         /// The window of four line widths to either side ends at the sensor's edge.
         const BORDER = 1 << 4;
-        /// Beside an occlusion or a jump: a neighbouring column has no line, or
-        /// one further off than [`super::JUMP_SIGMAS`] line widths (at least a
-        /// pixel), which an unbroken surface shows only where it is seen at
-        /// grazing angles.
+        /// At an occlusion or a jump: a neighbouring column has no line, or one
+        /// further off than [`super::JUMP_SIGMAS`] line widths (at least a pixel),
+        /// which an unbroken surface shows only where it is seen at grazing
+        /// angles; or an edge along the line leaves a tail of it, narrower than
+        /// [`super::NARROW_RATIO`] of their width.
         const EDGE = 1 << 5;
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.
@@ -103,10 +105,26 @@ pub enum Choice {
 }
 
 /// What [`super::find_peaks`] needs to know.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PeakSettings {
     pub finder: PeakFinder,
     pub choice: Choice,
     /// The count at which pixels saturate.
     pub max_count: u16,
+    /// Least standard deviation that the calibration expects of an uncut line, px;
+    /// 0 if it says nothing. A line is wide or cut if it is so beside the greater
+    /// of this and the frame's median.
+    pub expected_sigma: f64,
+}
+
+impl PeakSettings {
+    /// The defaults, for an image of which nothing is known but its scale.
+    pub fn new(max_count: u16) -> PeakSettings {
+        PeakSettings {
+            finder: PeakFinder::default(),
+            choice: Choice::default(),
+            max_count,
+            expected_sigma: 0.0,
+        }
+    }
 }
