@@ -1,12 +1,17 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
 mod files;
+mod peak_image;
+mod peaks;
 mod render;
 mod scan;
 mod simulation;
 mod speckle;
+mod synthetic;
 mod wave;
 
+pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
+pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};

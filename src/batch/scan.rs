@@ -150,12 +150,20 @@ fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<(
     files::write(path, |out| {
         writeln!(
             out,
-            "column,row_px,intensity_dn,x_mm,y_mm,z_mm,deviation_um"
+            "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um"
         )?;
         // Points are in the order of their peaks, and a peak may have none.
         let mut points = points.iter().peekable();
         for peak in peaks {
-            write!(out, "{},{:.5},{:.1}", peak.column, peak.row, peak.intensity)?;
+            let Peak {
+                column,
+                row,
+                intensity,
+                sigma,
+                flags,
+                ..
+            } = peak;
+            write!(out, "{column},{row:.5},{intensity:.1},{sigma:.3},{flags}")?;
             match points.next_if(|point| point.column == peak.column) {
                 Some(point) => {
                     let [x, y, z] = point.position.to_array();
@@ -195,7 +203,7 @@ fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> SampleFr
         png: encode_for_eyes(&counts, columns, sensor.max_count()),
         width: sensor.resolution.x,
         height: sensor.resolution.y,
-        line: find_peaks(&counts, columns)
+        line: find_peaks(&counts, columns, &simulation.peak_settings())
             .iter()
             .map(|p| (p.column as f64 + 0.5, p.row))
             .collect(),

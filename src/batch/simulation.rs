@@ -10,7 +10,7 @@ use crate::integrator::plan::SpeckleOptics;
 use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
-use crate::profile::{Calibration, Peak, find_peaks};
+use crate::profile::{Calibration, Peak, PeakSettings, find_peaks};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
@@ -129,12 +129,25 @@ impl<'s> Simulation<'s> {
         }
     }
 
+    pub fn peak_settings(&self) -> PeakSettings {
+        let Scene {
+            measure, camera, ..
+        } = self.scene;
+        PeakSettings {
+            finder: measure.finder,
+            choice: measure.choice,
+            max_count: camera.sensor.saturation_count(),
+            expected_sigma: self.plan.line_half_width_px / 2.0,
+        }
+    }
+
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
         let Camera { sensor, .. } = &self.scene.camera;
         let calibration = self.calibration();
         let part_from_camera = self.view(frame).part_from_camera;
-        let peaks = find_peaks(counts, sensor.resolution.x as usize);
+        let columns = sensor.resolution.x as usize;
+        let peaks = find_peaks(counts, columns, &self.peak_settings());
         let points = peaks
             .iter()
             .filter_map(|peak| {
@@ -145,6 +158,7 @@ impl<'s> Simulation<'s> {
                     intensity: peak.intensity,
                     frame,
                     column: peak.column,
+                    flags: peak.flags,
                 })
             })
             .collect();

@@ -44,13 +44,23 @@ impl Sensor {
         ((1u32 << self.bit_depth) - 1) as u16
     }
 
+    /// The count of a full pixel: that of the full well, if the scale does not end
+    /// before.
+    pub fn saturation_count(&self) -> u16 {
+        self.digitised(self.full_well_e)
+    }
+
     /// Counts of a pixel that expects `electrons`; `key` is the pixel's own.
     pub fn count(&self, electrons: f64, key: Key) -> u16 {
         let electrons = match self.noise {
             None => electrons,
             Some(noise) => noisy(electrons, noise, key),
         };
-        let dn = electrons.min(self.full_well_e) * self.gain_dn_per_e + self.black_level_dn;
+        self.digitised(electrons.min(self.full_well_e))
+    }
+
+    fn digitised(&self, electrons: f64) -> u16 {
+        let dn = electrons * self.gain_dn_per_e + self.black_level_dn;
         // Rounded by the cast: `round` is a call on baseline x86-64.
         (dn.clamp(0.0, self.max_count() as f64) + 0.5) as u16
     }

@@ -1,6 +1,7 @@
 //! The command line: one file a command.
 
 mod check;
+mod peaks;
 mod render;
 mod scan;
 mod speckle;
@@ -49,6 +50,8 @@ enum Command {
     Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
     Wave(wave::Arguments),
+    /// Chart the errors of each peak finder, or run all on an image of your own
+    Peaks(peaks::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
 }
@@ -158,6 +161,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Scan(arguments) => scan::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
+        Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -1,6 +1,7 @@
 //! The point cloud.
 
 use crate::math::DVec3;
+use crate::profile::Flags;
 use std::io::{self, Write};
 
 /// One measured point.
@@ -14,10 +15,13 @@ pub struct CloudPoint {
     pub intensity: f64,
     pub frame: u32,
     pub column: u32,
+    /// What is doubtful about its peak.
+    pub flags: Flags,
 }
 
 /// Writes a binary PLY: x, y, z (double, mm, part frame), deviation (float, mm),
-/// intensity (float, counts), frame and column (uint).
+/// intensity (float, counts), frame and column (uint), flags (ushort; the bits of
+/// [`Flags`]).
 pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
     write!(
         out,
@@ -26,7 +30,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
          element vertex {}\n\
          property double x\nproperty double y\nproperty double z\n\
          property float deviation\nproperty float intensity\n\
-         property uint frame\nproperty uint column\nend_header\n",
+         property uint frame\nproperty uint column\nproperty ushort flags\nend_header\n",
         points.len()
     )?;
     for point in points {
@@ -37,6 +41,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
         out.write_all(&(point.intensity as f32).to_le_bytes())?;
         out.write_all(&point.frame.to_le_bytes())?;
         out.write_all(&point.column.to_le_bytes())?;
+        out.write_all(&point.flags.bits().to_le_bytes())?;
     }
     Ok(())
 }

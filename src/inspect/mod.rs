@@ -7,4 +7,5 @@ pub mod cloud;
 pub mod coverage;
 pub mod deviation;
 pub mod picture;
+pub mod plot;
 pub mod report;

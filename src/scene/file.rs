@@ -1,6 +1,7 @@
 //! The scene file as written: TOML, millimetres unless the key says otherwise.
 //! The doc comments here become the descriptions in the JSON Schema.
 
+use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -24,6 +25,8 @@ pub struct SceneFile {
     pub laser: LaserTable,
     pub camera: CameraTable,
     pub scan: ScanTable,
+    #[serde(default)]
+    pub measure: MeasureTable,
 }
 
 /// How speckle patterns are read.
@@ -243,6 +246,18 @@ pub struct ScanTable {
     /// Position of the head in frame 0. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
+}
+
+/// How the laser line is found in the image. Default: by centroid.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeasureTable {
+    /// How the line's row is found to a fraction of a pixel. Default: centroid.
+    #[serde(default)]
+    pub peak: PeakFinder,
+    /// Which line of a column with several is taken. Default: strongest.
+    #[serde(default)]
+    pub choose: Choice,
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.

@@ -6,4 +6,4 @@ mod optics;
 mod resolve;
 
 pub use file::{SceneFile, schema};
-pub use resolve::{LinearScan, Scene, SpeckleModel};
+pub use resolve::{LinearScan, Measure, Scene, SpeckleModel};

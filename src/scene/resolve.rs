@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
+use crate::profile::{Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
@@ -30,6 +31,13 @@ pub struct SpeckleModel {
     pub aperture: pattern::Aperture,
 }
 
+/// How the laser line is found in the image.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Measure {
+    pub finder: PeakFinder,
+    pub choice: Choice,
+}
+
 /// A validated scene: the world at rest and the head's way through it.
 #[derive(serde::Serialize)]
 pub struct Scene {
@@ -49,6 +57,7 @@ pub struct Scene {
     pub camera: Camera,
     pub head_from_camera: Rigid,
     pub scan: LinearScan,
+    pub measure: Measure,
 }
 
 impl Scene {
@@ -148,6 +157,10 @@ impl Resolver<'_> {
                 start: self.lengths(file.scan.start_mm, "scan.start_mm")?.into(),
                 step: direction * step,
                 frames: file.scan.frames,
+            },
+            measure: Measure {
+                finder: file.measure.peak,
+                choice: file.measure.choose,
             },
         })
     }

@@ -1,0 +1,87 @@
+use super::{Output, STOP};
+use crate::batch::{self, Control, ImageSummary, LineAlong, PeakChart};
+use crate::error::Result;
+use crate::inspect::chart::short;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Image (PNG) of a real line to find with all finders [default: chart their
+    /// errors on synthetic lines]
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
+    /// Which way the line runs in the image
+    #[arg(long, value_enum, default_value_t = Along::Columns, requires = "image")]
+    line_along: Along,
+    /// Seed of noise and speckle
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Along {
+    Columns,
+    Rows,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let bar = output.progress(batch::chart_conditions() as u64, "conditions");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        stop: &STOP,
+    };
+    let Some(image) = &arguments.image else {
+        let chart = batch::peak_chart(arguments.seed, &arguments.output, &control);
+        bar.finish_and_clear();
+        let chart = chart?;
+        return output.result(&chart, &chart_text(&chart));
+    };
+    bar.finish_and_clear();
+    let along = match arguments.line_along {
+        Along::Columns => LineAlong::Columns,
+        Along::Rows => LineAlong::Rows,
+    };
+    let summary = batch::peaks_of_image(image, along, &arguments.output, &control)?;
+    output.result(&summary, &image_text(&summary))
+}
+
+fn chart_text(chart: &PeakChart) -> String {
+    let mut text = format!("{:<48}{:>40}\n", "", "bias and noise, 1/1000 px");
+    for axis in &chart.axes {
+        let names = axis.finders.iter().map(|(f, _)| format!("{f:?}"));
+        let names: String = names.map(|name| format!("{name:>17}")).collect();
+        let _ = writeln!(text, "{:<40}{names}", axis.quantity);
+        for (i, value) in axis.values.iter().enumerate() {
+            let _ = write!(text, "{value:<40}");
+            for (_, errors) in &axis.finders {
+                let cell = errors[i].map_or("–".into(), |e| {
+                    format!("{} {:>7}", short(e.bias_px * 1e3), short(e.noise_px * 1e3))
+                });
+                let _ = write!(text, "{cell:>17}");
+            }
+            text.push('\n');
+        }
+    }
+    text + &format!("\n{}\n", chart.picture.display())
+}
+
+fn image_text(summary: &ImageSummary) -> String {
+    let mut text = String::new();
+    for line in &summary.finders {
+        let _ = writeln!(
+            text,
+            "{:<16} {} points in {} columns, {} flagged, σ {} px (median)",
+            format!("{:?}", line.finder),
+            line.points,
+            summary.columns,
+            line.flagged,
+            short(line.median_sigma_px)
+        );
+    }
+    let (table, picture) = (summary.table.display(), summary.picture.display());
+    text + &format!("\n{table}\n{picture}\n")
+}

@@ -1,0 +1,197 @@
+//! The lines of a frame, column by column, and what is doubtful about them.
+
+use super::background::{Background, background, detection_sigmas};
+use super::locate::{Line, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
+use super::{Choice, Flags, Peak, PeakSettings};
+
+/// Share of the height of the column's highest line that another has at least.
+pub const CANDIDATE_SHARE: f64 = 0.1;
+/// A line is wide above this many times the width of the frame's lines.
+pub const WIDE_RATIO: f64 = 2.0;
+/// A line is weak below this share of the median height of the frame's lines: a
+/// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
+pub const WEAK_SHARE: f64 = 0.05;
+/// A line is weak below this many times the background's noise.
+pub const WEAK_SNR: f64 = 10.0;
+/// A neighbour's line is cut off beyond this many line widths.
+pub const JUMP_SIGMAS: f64 = 3.0;
+
+/// A line narrower than this share of their width is the tail that an edge
+/// along it leaves: of a Gaussian cut beyond 1.5 σ.
+pub const NARROW_RATIO: f64 = 0.4;
+
+/// Columns that are gathered at once: a cache line of a row.
+const STRIP: usize = 32;
+
+/// What a column holds besides noise.
+struct Column {
+    background: Background,
+    top: usize,
+    height: f64,
+    sigma: f64,
+}
+
+/// The line of each column of a row-by-row image, in the order of columns; columns
+/// without one are left out. A line is what stands out from its column's own noise
+/// so far that noise alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's
+/// columns.
+pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Vec<Peak> {
+    let rows = counts.len() / columns;
+    let z = detection_sigmas(counts.len());
+    let by_column = transposed(counts, columns);
+    let mut scratch = Vec::with_capacity(rows);
+    let found: Vec<Option<Column>> = by_column
+        .chunks_exact(rows)
+        .map(|column| detect(column, z, &mut scratch))
+        .collect();
+    let width = 2.354_82 * median(found.iter().flatten().map(|c| c.sigma));
+    let mut peaks = Vec::with_capacity(columns);
+    for (number, (column, found)) in by_column.chunks_exact(rows).zip(&found).enumerate() {
+        let Some(found) = found else { continue };
+        let (line, double) = chosen(column, found, width, settings);
+        let Some((located, intensity)) = locate(&line, settings.finder) else {
+            continue;
+        };
+        let mut flags = Flags::empty();
+        flags.set(Flags::DOUBLE, double);
+        flags.set(Flags::SATURATED, is_saturated(&line));
+        let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
+        let inside = located.row >= window && located.row + window <= rows as f64;
+        flags.set(Flags::BORDER, !inside);
+        peaks.push(Peak {
+            column: number as u32,
+            row: located.row,
+            intensity,
+            height: line.height,
+            sigma: located.sigma,
+            noise: line.background.noise,
+            flags,
+        });
+    }
+    compare(&mut peaks, columns, settings.expected_sigma);
+    peaks
+}
+
+/// The image column by column.
+fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
+    let rows = counts.len() / columns;
+    let mut by_column = vec![0; counts.len()];
+    for first in (0..columns).step_by(STRIP) {
+        let width = STRIP.min(columns - first);
+        let strip = &mut by_column[first * rows..];
+        for (i, row) in counts.chunks_exact(columns).enumerate() {
+            for (j, &count) in row[first..first + width].iter().enumerate() {
+                strip[j * rows + i] = count;
+            }
+        }
+    }
+    by_column
+}
+
+/// The highest line of a column, if it is one.
+fn detect(column: &[u16], z: f64, scratch: &mut Vec<u16>) -> Option<Column> {
+    let &highest = column.iter().max()?;
+    let background = background(column, highest, z, scratch);
+    let height = highest as f64 - background.mean;
+    if height < background.threshold {
+        return None;
+    }
+    let top = column.iter().position(|&count| count == highest)?;
+    let sigma = half_height_sigma(column, top, background.mean);
+    Some(Column {
+        background,
+        top,
+        height,
+        sigma,
+    })
+}
+
+/// The line that the settings choose, and whether there is another.
+fn chosen<'a>(
+    column: &'a [u16],
+    found: &Column,
+    width: f64,
+    settings: &PeakSettings,
+) -> (Line<'a>, bool) {
+    let Background {
+        mean, threshold, ..
+    } = found.background;
+    let level = mean + threshold.max(CANDIDATE_SHARE * found.height);
+    let tops = candidates(column, level.ceil() as u16, width);
+    let top = match settings.choice {
+        Choice::Strongest => found.top,
+        Choice::First => *tops.first().unwrap_or(&found.top),
+        Choice::Last => *tops.last().unwrap_or(&found.top),
+    };
+    let height = column[top] as f64 - mean;
+    let line = Line {
+        column,
+        background: found.background,
+        top,
+        height,
+        sigma: half_height_sigma(column, top, mean),
+        max_count: settings.max_count,
+    };
+    (line, tops.len() > 1)
+}
+
+/// Rows of the highest pixels of the runs at or above `level`; runs whose gap is
+/// narrower than `width` are one, as speckle breaks a line up.
+fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
+    let mut tops: Vec<usize> = Vec::new();
+    let mut last = 0;
+    for (block, counts) in column.chunks(STRIP).enumerate() {
+        // Most blocks are dark, and a maximum is vectorised.
+        if counts.iter().max().is_none_or(|&highest| highest < level) {
+            continue;
+        }
+        for (row, &count) in (block * STRIP..).zip(counts) {
+            if count < level {
+                continue;
+            }
+            match tops.last_mut() {
+                Some(top) if ((row - last) as f64) <= width + 1.0 => {
+                    if count > column[*top] {
+                        *top = row;
+                    }
+                }
+                _ => tops.push(row),
+            }
+            last = row;
+        }
+    }
+    tops
+}
+
+/// Sets the flags that compare a line with its neighbours and with the others.
+fn compare(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
+    let height = median(peaks.iter().map(|p| p.height));
+    let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
+    let touching = |a: &Peak, b: &Peak| {
+        let reach = (JUMP_SIGMAS * sigma.max(a.sigma.min(b.sigma))).max(1.0);
+        a.column + 1 == b.column && (a.row - b.row).abs() <= reach
+    };
+    for i in 0..peaks.len() {
+        let peak = &peaks[i];
+        let before = peak.column == 0 || i > 0 && touching(&peaks[i - 1], peak);
+        let last = peak.column as usize + 1 == columns;
+        let after = last || peaks.get(i + 1).is_some_and(|next| touching(peak, next));
+        let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
+        let wide = peak.sigma > WIDE_RATIO * sigma;
+        let narrow = peak.sigma < NARROW_RATIO * sigma;
+        let flags = &mut peaks[i].flags;
+        flags.set(Flags::EDGE, !(before && after) || narrow);
+        flags.set(Flags::WEAK, weak);
+        flags.set(Flags::WIDE, wide);
+    }
+}
+
+/// The middle value, the upper of two; 0 of none.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    match values.is_empty() {
+        true => 0.0,
+        false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+    }
+}
