@@ -4,8 +4,11 @@
 pub mod align;
 pub mod chart;
 pub mod cloud;
+pub mod color;
 pub mod coverage;
 pub mod deviation;
 pub mod picture;
 pub mod plot;
 pub mod report;
+pub mod setup;
+pub mod viewer;

@@ -1,6 +1,5 @@
 //! Pictures for the report: sensor frames, and the cloud over the shaded part.
 
-use super::cloud::CloudPoint;
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::math::{Aabb, DVec3};
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
@@ -55,16 +54,6 @@ fn shade(
     }
 }
 
-/// Colour of `value` between -limit (blue) over 0 (pale yellow) to +limit (red).
-pub fn diverging_color(value: f64, limit: f64) -> [u8; 3] {
-    const BLUE: [f64; 3] = [49.0, 54.0, 149.0];
-    const MIDDLE: [f64; 3] = [255.0, 255.0, 191.0];
-    const RED: [f64; 3] = [165.0, 0.0, 38.0];
-    let x = (value / limit).clamp(-1.0, 1.0);
-    let end = if x < 0.0 { BLUE } else { RED };
-    std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * x.abs()).round() as u8)
-}
-
 /// A parallel view of the part: `right` and `down` are unit vectors across each
 /// other in the part's frame.
 #[derive(Debug, Clone, Copy)]
@@ -81,15 +70,25 @@ fn extent(bounds: &Aabb, axis: DVec3) -> (f64, f64) {
     (low, high)
 }
 
-/// PNG of the part in grey with the cloud's points coloured by deviation
-/// (±`limit`, mm). Points behind the surface are hidden.
-pub fn cloud_picture(
+/// The part in a parallel view.
+pub struct PartPicture {
+    pub png: Vec<u8>,
+    /// Coordinates of the picture's left and top edge along the view's axes, and
+    /// its size, mm.
+    pub left: f64,
+    pub top: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+/// The part in grey with coloured points on it, `width` pixels wide. Points
+/// behind the surface are hidden.
+pub fn part_picture(
     accel: &Accel,
-    points: &[CloudPoint],
+    points: impl IntoIterator<Item = (DVec3, [u8; 3])>,
     view: ParallelView,
-    limit: f64,
     width: usize,
-) -> Vec<u8> {
+) -> PartPicture {
     let bounds = accel.bounds();
     let into = view.right.cross(view.down);
     let (left, right) = extent(&bounds, view.right);
@@ -101,7 +100,7 @@ pub fn cloud_picture(
     let start = near - (far - near) * 0.1 - margin;
 
     let towards_light = (view.right * -0.4 + view.down * -0.5 - into).normalize();
-    let mut pixels = vec![[250u8; 3]; width * height];
+    let mut pixels = vec![[255u8; 3]; width * height];
     let mut depth = vec![f64::INFINITY; width * height];
     pixels
         .par_chunks_mut(width)
@@ -121,8 +120,7 @@ pub fn cloud_picture(
         });
 
     let tolerance = 0.01 * bounds.size().length();
-    for point in points {
-        let p = point.position;
+    for (p, color) in points {
         let x = (p.dot(view.right) - left + margin) * scale;
         let y = (p.dot(view.down) - top + margin) * scale;
         if !(x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height) {
@@ -130,7 +128,6 @@ pub fn cloud_picture(
         }
         // Two pixels wide and high, so that a cloud as dense as the picture covers
         // the part.
-        let color = diverging_color(point.deviation, limit);
         for (x, y) in
             [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| (x as usize + i, y as usize + j))
         {
@@ -140,10 +137,16 @@ pub fn cloud_picture(
             }
         }
     }
-    encode(
-        pixels.as_flattened(),
-        width,
-        height,
-        ExtendedColorType::Rgb8,
-    )
+    PartPicture {
+        png: encode(
+            pixels.as_flattened(),
+            width,
+            height,
+            ExtendedColorType::Rgb8,
+        ),
+        left: left - margin,
+        top: top - margin,
+        width: width as f64 / scale,
+        height: height as f64 / scale,
+    }
 }

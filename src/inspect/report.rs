@@ -1,30 +1,93 @@
 //! `report.html`: one page that stands alone, for people who would rather look
 //! than read.
 
-use super::chart::{color_bar, deviation_histogram, short};
+use super::chart::{share_bar, short};
+use super::cloud::CloudPoint;
+use super::color::{Rgb, css, of_fate};
+use super::coverage::{Fate, SurfaceCoverage};
 use super::deviation::DeviationStatistics;
+use super::viewer::Viewer;
+use crate::profile::Flags;
 use base64::Engine;
 use std::fmt::Write;
 
-/// What a report shows.
-pub struct Report<'a> {
-    pub title: &'a str,
-    /// Rows of the table of facts.
-    pub facts: Vec<(&'a str, String)>,
-    pub frame: Option<SampleFrame>,
-    /// Caption and PNG of each view of the cloud.
-    pub views: Vec<(&'a str, Vec<u8>)>,
-    /// Deviation (µm) at which the colours of the views end.
-    pub color_limit_um: f64,
-    pub deviations_um: Vec<f64>,
+/// What a report shows, in its order.
+pub struct Report {
+    pub title: String,
+    /// The result in a sentence.
+    pub lead: String,
+    pub facts: Vec<(&'static str, String)>,
+    pub viewer: Option<Viewer>,
+    pub maps: Vec<ColorMap>,
     pub statistics: Option<DeviationStatistics>,
+    /// Caption and SVG.
+    pub histograms: Vec<(String, String)>,
+    pub flags: Vec<FlagCount>,
+    pub coverage: Option<SurfaceCoverage>,
+    /// Caption and SVG.
+    pub setup: Vec<(&'static str, String)>,
+    pub frames: Vec<SampleFrame>,
     /// Effect, modelled, method, reason.
     pub plan: Vec<[String; 4]>,
+    pub run: Vec<(&'static str, String)>,
 }
+
+/// A quantity as colours on the part.
+pub struct ColorMap {
+    pub title: &'static str,
+    /// SVG.
+    pub bar: String,
+    pub legend: &'static str,
+    /// Caption and PNG.
+    pub views: Vec<(&'static str, Vec<u8>)>,
+}
+
+/// Points that carry a flag.
+pub struct FlagCount {
+    pub name: &'static str,
+    pub meaning: &'static str,
+    pub points: usize,
+}
+
+/// How many points carry each flag.
+pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
+    let count = |flag| points.iter().filter(|p| p.flags.contains(flag)).count();
+    FLAGS
+        .iter()
+        .map(|&(flag, name, meaning)| FlagCount {
+            name,
+            meaning,
+            points: count(flag),
+        })
+        .collect()
+}
+
+const FLAGS: [(Flags, &str, &str); 7] = [
+    (
+        Flags::SATURATED,
+        "saturated",
+        "a pixel of the line has the highest count the sensor gives",
+    ),
+    (
+        Flags::DOUBLE,
+        "double",
+        "the column holds another line: a second surface, or a ghost",
+    ),
+    (Flags::WIDE, "wide", "more than twice as wide as the frame's lines"),
+    (Flags::WEAK, "weak", "much fainter than the frame's lines, or near the noise"),
+    (Flags::BORDER, "border", "cut off by the sensor's edge"),
+    (Flags::EDGE, "edge", "next to an occlusion or a jump, or cut off along it"),
+    (
+        Flags::OUTSIDE,
+        "outside",
+        "outside the domain of the stated uncertainty",
+    ),
+];
 
 /// A frame of the scan with the line that was extracted from it.
 pub struct SampleFrame {
     pub number: u32,
+    pub why: &'static str,
     pub png: Vec<u8>,
     pub width: u32,
     pub height: u32,
@@ -32,80 +95,69 @@ pub struct SampleFrame {
     pub line: Vec<(f64, f64)>,
 }
 
-const STYLE: &str = "\
-body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1080px;margin:2rem auto;padding:0 1rem}\
-h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #ccc}\
-table{border-collapse:collapse}td,th{padding:.2rem .8rem .2rem 0;text-align:left;vertical-align:top}\
-th{font-weight:600}.views{display:flex;gap:1rem;flex-wrap:wrap}figure{margin:.5rem 0;flex:1 1 30rem}\
-img,svg{width:100%;height:auto}svg text{font-size:12px;fill:#333}.bar{max-width:26rem}\
-figcaption{color:#555}.frame image{image-rendering:pixelated}\
-#line:not(:checked)~figure polyline{display:none}\
-@media print{body{max-width:none;margin:0}h2{break-after:avoid}figure{break-inside:avoid}}";
-
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
         .replace('"', "&quot;")
 }
 
-fn data_url(png: &[u8]) -> String {
-    let base64 = base64::engine::general_purpose::STANDARD.encode(png);
-    format!("data:image/png;base64,{base64}")
+pub(super) fn base64(bytes: &[u8]) -> String {
+    base64::engine::general_purpose::STANDARD.encode(bytes)
 }
 
-impl Report<'_> {
+pub(super) fn data_url(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64(png))
+}
+
+impl Report {
     pub fn html(&self) -> String {
-        let title = escape(self.title);
+        let title = escape(&self.title);
         let mut html = format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\">\
              <meta name=\"viewport\" content=\"width=device-width\">\
-             <title>{title}</title><style>{STYLE}</style></head><body><h1>{title}</h1>"
+             <title>{title}</title><style>{}</style></head><body><h1>{title}</h1>\
+             <p class=\"lead\">{}</p>",
+            include_str!("report.css"),
+            escape(&self.lead)
         );
-        self.facts_table(&mut html);
-        self.deviation(&mut html);
-        if let Some(frame) = &self.frame {
-            frame.figure(&mut html);
+        html.push_str("<div class=\"facts\">");
+        for (name, value) in &self.facts {
+            let _ = write!(html, "<div><b>{name}</b>{}</div>", escape(value));
         }
+        html.push_str("</div>");
+        if let Some(viewer) = &self.viewer {
+            viewer.figure(&mut html);
+        }
+        for map in &self.maps {
+            map.section(&mut html);
+        }
+        self.distribution(&mut html);
+        self.flag_table(&mut html);
+        if let Some(coverage) = &self.coverage {
+            coverage_section(coverage, &mut html);
+        }
+        html.push_str("<h2>Sensor and part</h2>");
+        figures(&mut html, "wide", self.setup.iter().map(|(c, svg)| (*c, svg.as_str())));
+        html.push_str(
+            "<p>Red: laser. Blue: the camera's field of view. Green: where it meets the laser \
+             plane. Dashed: the laser's way over the part.</p>",
+        );
+        self.frame_section(&mut html);
         self.plan_table(&mut html);
+        table(&mut html, "The run", &self.run);
         html.push_str("</body></html>\n");
         html
     }
 
-    fn facts_table(&self, html: &mut String) {
-        html.push_str("<table>");
-        for (name, value) in &self.facts {
-            let _ = write!(
-                html,
-                "<tr><th>{}</th><td>{}</td></tr>",
-                escape(name),
-                escape(value)
-            );
-        }
-        html.push_str("</table>");
-    }
-
-    fn deviation(&self, html: &mut String) {
-        html.push_str("<h2>Deviation from the CAD surface</h2>");
-        let Some(statistics) = &self.statistics else {
+    fn distribution(&self, html: &mut String) {
+        html.push_str("<h2>Distribution</h2>");
+        let Some(s) = &self.statistics else {
             html.push_str("<p>No point was measured: no line was found in any frame.</p>");
             return;
         };
-        html.push_str("<div class=\"views\">");
-        for (caption, png) in &self.views {
-            let _ = write!(
-                html,
-                "<figure><img alt=\"{0}\" src=\"{1}\"><figcaption>{0}</figcaption></figure>",
-                escape(caption),
-                data_url(png)
-            );
-        }
-        let _ = write!(html, "</div>{}", color_bar(self.color_limit_um));
-        html.push_str(&deviation_histogram(
-            &self.deviations_um,
-            self.color_limit_um,
-        ));
-        let s = statistics;
+        let histograms = self.histograms.iter();
+        figures(html, "wide", histograms.map(|(c, svg)| (c.as_str(), svg.as_str())));
         let _ = write!(
             html,
             "<table><tr><th>points</th><td>{}</td></tr>\
@@ -121,6 +173,34 @@ impl Report<'_> {
             let _ = write!(html, "{percent} %: {} µm &ensp; ", short(*value));
         }
         html.push_str("</td></tr></table>");
+    }
+
+    fn flag_table(&self, html: &mut String) {
+        html.push_str(
+            "<h2>Flags</h2><table><tr><th>flag</th><th>points</th><th>meaning</th></tr>",
+        );
+        for flag in &self.flags {
+            let _ = write!(
+                html,
+                "<tr><td>{}</td><td class=\"n\">{}</td><td>{}</td></tr>",
+                flag.name, flag.points, flag.meaning
+            );
+        }
+        html.push_str("</table>");
+    }
+
+    fn frame_section(&self, html: &mut String) {
+        if self.frames.is_empty() {
+            return;
+        }
+        html.push_str(
+            "<h2>Sensor frames</h2><input type=\"checkbox\" id=\"line\" checked>\
+             <label for=\"line\"> extracted line</label><div class=\"frames\">",
+        );
+        for frame in &self.frames {
+            frame.figure(html);
+        }
+        html.push_str("</div>");
     }
 
     fn plan_table(&self, html: &mut String) {
@@ -139,18 +219,113 @@ impl Report<'_> {
     }
 }
 
+fn figures<'a>(
+    html: &mut String,
+    class: &str,
+    content: impl Iterator<Item = (&'a str, &'a str)>,
+) {
+    let _ = write!(html, "<div class=\"views {class}\">");
+    for (caption, svg) in content {
+        let _ = write!(
+            html,
+            "<figure>{svg}<figcaption>{}</figcaption></figure>",
+            escape(caption)
+        );
+    }
+    html.push_str("</div>");
+}
+
+fn table(html: &mut String, title: &str, rows: &[(&str, String)]) {
+    let _ = write!(html, "<h2>{title}</h2><table>");
+    for (name, value) in rows {
+        let _ = write!(html, "<tr><th>{name}</th><td>{}</td></tr>", escape(value));
+    }
+    html.push_str("</table>");
+}
+
+impl ColorMap {
+    fn section(&self, html: &mut String) {
+        let _ = write!(html, "<h2>{}</h2>{}<p>{}</p>", self.title, self.bar, self.legend);
+        html.push_str("<div class=\"views\">");
+        for (caption, png) in &self.views {
+            let _ = write!(
+                html,
+                "<figure><img alt=\"{caption}\" src=\"{}\"><figcaption>{caption}</figcaption></figure>",
+                data_url(png)
+            );
+        }
+        html.push_str("</div>");
+    }
+}
+
+/// What a fate is called, and what it means.
+fn explained(fate: Fate) -> (&'static str, &'static str) {
+    match fate {
+        Fate::Measured => ("measured", "a point lies within two point spacings"),
+        Fate::WeakSignal => (
+            "weak signal",
+            "lit and in view, but no line was found: too dark, or at grazing light",
+        ),
+        Fate::HiddenFromCamera => (
+            "hidden from the camera",
+            "lit, but behind something or facing away from the camera",
+        ),
+        Fate::HiddenFromLaser => (
+            "hidden from the laser",
+            "behind something or facing away from the laser",
+        ),
+        Fate::OutsideScan => (
+            "outside the scan",
+            "the laser plane passed it outside the fan or the sensor, or never",
+        ),
+    }
+}
+
+fn coverage_section(coverage: &SurfaceCoverage, html: &mut String) {
+    let parts: Vec<(&str, f64, Rgb)> = coverage
+        .shares
+        .iter()
+        .map(|&(fate, share)| (explained(fate).0, share, of_fate(fate)))
+        .collect();
+    let _ = write!(
+        html,
+        "<h2>Coverage of the CAD surface</h2>{}\
+         <table><tr><th>area</th><th>mm²</th><th>of 100</th><th>meaning</th></tr>",
+        share_bar("coverage of the CAD surface", &parts)
+    );
+    for &(fate, share) in &coverage.shares {
+        let (name, meaning) = explained(fate);
+        let _ = write!(
+            html,
+            "<tr><td><span class=\"key\" style=\"background:{}\"></span>{name}</td>\
+             <td class=\"n\">{}</td><td class=\"n\">{}</td><td>{meaning}</td></tr>",
+            css(of_fate(fate)),
+            short(share * coverage.area_mm2),
+            short(100.0 * share)
+        );
+    }
+    let density = coverage.points_per_mm2.map_or(String::new(), |density| {
+        format!(" Where it was measured it has {} points per mm².", short(density))
+    });
+    let _ = write!(
+        html,
+        "</table><p>From {} places spread evenly over the whole mesh, its inside faces too.\
+         {density}</p>",
+        coverage.samples
+    );
+}
+
 impl SampleFrame {
     /// The frame with the line over it; breaks in the line where columns are
     /// missing or the row jumps.
     fn figure(&self, html: &mut String) {
         let _ = write!(
             html,
-            "<h2>Frame {}</h2><input type=\"checkbox\" id=\"line\" checked>\
-             <label for=\"line\"> extracted line</label><figure class=\"frame\">\
-             <svg viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"sensor frame\">\
+            "<figure class=\"frame\">\
+             <svg viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"sensor frame {n}\">\
              <image href=\"{}\" width=\"{w}\" height=\"{h}\"/>",
-            self.number,
             data_url(&self.png),
+            n = self.number,
             w = self.width,
             h = self.height
         );
@@ -164,9 +339,11 @@ impl SampleFrame {
             }
             html.push_str("\"/>");
         }
-        html.push_str(
-            "</svg><figcaption>Counts, brightened (gamma 2.2), with the extracted line in blue.\
-             </figcaption></figure>",
+        let _ = write!(
+            html,
+            "</svg><figcaption>Frame {}, {}: counts, brightened (gamma 2.2), with the extracted \
+             line in blue.</figcaption></figure>",
+            self.number, self.why
         );
     }
 }
@@ -178,20 +355,26 @@ mod tests {
     #[test]
     fn a_report_stands_alone_and_escapes_what_it_is_given() {
         let report = Report {
-            title: "a <b> & c",
+            title: "a <b> & c".into(),
+            lead: "5 < 6".into(),
             facts: vec![("scene", "x<y>.toml".into())],
-            frame: Some(SampleFrame {
+            viewer: None,
+            maps: vec![],
+            statistics: None,
+            histograms: vec![],
+            flags: vec![],
+            coverage: None,
+            setup: vec![],
+            frames: vec![SampleFrame {
                 number: 3,
+                why: "some",
                 png: vec![1, 2, 3],
                 width: 10,
                 height: 5,
                 line: vec![(0.5, 1.0), (1.5, 1.2), (4.5, 1.0)],
-            }),
-            views: vec![],
-            color_limit_um: 1.0,
-            deviations_um: vec![],
-            statistics: None,
+            }],
             plan: vec![],
+            run: vec![],
         };
         let html = report.html();
         assert!(html.contains("a &lt;b&gt; &amp; c") && html.contains("x&lt;y&gt;.toml"));

@@ -1,0 +1,393 @@
+//! What a scan's report shows.
+
+use super::scan::ScanSummary;
+use super::{Control, Simulation};
+use crate::error::Result;
+use crate::inspect::chart::{Histogram, color_bar, short};
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::color::{Rgb, diverging, of_fate, sequential};
+use crate::inspect::coverage::{HeadPose, SurfaceCoverage};
+use crate::inspect::picture::{ParallelView, encode_for_eyes, part_picture};
+use crate::inspect::report::{ColorMap, Report, SampleFrame, count_flags};
+use crate::inspect::setup::Setup;
+use crate::inspect::viewer::{Layer, Mode, Viewer};
+use crate::math::DVec3;
+
+/// Points and places in the viewer: what half a megabyte holds.
+const MOST_IN_VIEWER: usize = 60_000;
+
+/// Width of the pictures of the part, px.
+const PICTURE_WIDTH: usize = 900;
+
+const FLAGGED: Rgb = [200, 0, 120];
+const UNFLAGGED: Rgb = [150, 190, 200];
+
+pub struct Shown<'a> {
+    pub simulation: &'a Simulation<'a>,
+    /// Those of `frames`, in order of frames, then columns.
+    pub points: &'a [CloudPoint],
+    pub frames: std::ops::Range<u32>,
+    pub poses: &'a [HeadPose],
+    pub coverage: Option<SurfaceCoverage>,
+    pub summary: &'a ScanSummary,
+    pub run: Vec<(&'static str, String)>,
+}
+
+impl Shown<'_> {
+    pub fn report(self, control: &Control) -> Result<Report> {
+        let scene = self.simulation.scene;
+        let plan = &self.simulation.plan;
+        let limits = Limits::of(self.points);
+        let views = self.views();
+        control.check()?;
+        let mut maps = vec![self.map(
+            "Deviation from the CAD surface",
+            color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
+                diverging(d, limits.deviation_um)
+            }),
+            "Red: outside the material. Blue: inside. Points without a flag.",
+            &views,
+            &|p| diverging(p.deviation * 1e3, limits.deviation_um),
+            &|p| p.flags.is_empty(),
+        )];
+        control.check()?;
+        maps.push(self.map(
+            "Standard uncertainty of the deviation",
+            color_bar(0.0, limits.sigma_um, "µm", &|s| sequential(s, limits.sigma_um)),
+            "Predicted for each point from speckle, noise and calibration. Points without a flag.",
+            &views[..2],
+            &|p| sequential(p.sigma * 1e3, limits.sigma_um),
+            &|p| p.flags.is_empty(),
+        ));
+        control.check()?;
+        let [across, along] = [self.poses.first(), self.poses.last()].map(|pose| {
+            pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation)
+        });
+        Ok(Report {
+            title: "Laser-triangulation scan".into(),
+            lead: self.lead(),
+            facts: vec![
+                ("scene", scene.path.display().to_string()),
+                ("part", format!("{} triangles", scene.mesh.triangles.len())),
+                (
+                    "frames",
+                    format!(
+                        "{}, over {} mm",
+                        self.frames.len(),
+                        short((along - across).length())
+                    ),
+                ),
+                (
+                    "columns with a point",
+                    format!("{} of 100", short(self.summary.measured_share * 100.0)),
+                ),
+                (
+                    "1 px along the beam",
+                    format!("{} µm", short(1e3 / plan.px_per_mm)),
+                ),
+                ("speckle size", format!("{} px", short(plan.speckle_size_px))),
+            ],
+            viewer: Some(self.viewer(&limits)),
+            maps,
+            statistics: self.summary.deviation.clone(),
+            histograms: self.histograms(&limits),
+            flags: count_flags(self.points),
+            setup: self.setup(),
+            frames: self.sample_frames(),
+            plan: plan
+                .effects
+                .iter()
+                .map(|e| {
+                    let modelled = if e.modelled { "yes" } else { "no" };
+                    [
+                        e.effect.into(),
+                        modelled.into(),
+                        e.method.clone(),
+                        e.why.clone(),
+                    ]
+                })
+                .collect(),
+            coverage: self.coverage,
+            run: self.run,
+        })
+    }
+
+    fn unflagged(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
+        self.points.iter().filter(|p| p.flags.is_empty())
+    }
+
+    fn lead(&self) -> String {
+        let Some(d) = &self.summary.deviation else {
+            return "No point was measured: no line was found in any frame.".into();
+        };
+        format!(
+            "{} points without a flag of {}. They lie {} ± {} µm from the CAD (mean and standard \
+             deviation); 98 of 100 within {} to {} µm.",
+            d.points,
+            self.points.len(),
+            short(d.mean_um),
+            short(d.std_um),
+            short(d.percentiles_um[0].1),
+            short(d.percentiles_um[6].1)
+        )
+    }
+
+    fn map(
+        &self,
+        title: &'static str,
+        bar: String,
+        legend: &'static str,
+        views: &[(&'static str, ParallelView)],
+        color: &dyn Fn(&CloudPoint) -> Rgb,
+        shown: &dyn Fn(&CloudPoint) -> bool,
+    ) -> ColorMap {
+        let views = views.iter().map(|&(caption, view)| {
+            let points = self.points.iter().filter(|p| shown(p));
+            let points = points.map(|p| (p.position, color(p)));
+            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_WIDTH);
+            (caption, picture.png)
+        });
+        ColorMap {
+            title,
+            bar,
+            legend,
+            views: views.collect(),
+        }
+    }
+
+    fn middle(&self) -> HeadPose {
+        self.poses[self.poses.len() / 2]
+    }
+
+    /// The part as the laser sees it, and obliquely from the camera's side, from
+    /// the other and along the line.
+    fn views(&self) -> Vec<(&'static str, ParallelView)> {
+        let HeadPose {
+            part_from_laser,
+            part_from_camera,
+        } = self.middle();
+        let right = part_from_laser.rotation.x_axis;
+        let beam = part_from_laser.rotation.z_axis;
+        let camera = part_from_camera.rotation.z_axis;
+        let away = camera - 2.0 * part_from_laser.rotation.y_axis
+            * camera.dot(part_from_laser.rotation.y_axis);
+        let looking = |into: DVec3, hint: DVec3| {
+            let right = (hint - into * hint.dot(into)).normalize();
+            ParallelView {
+                right,
+                down: into.cross(right),
+            }
+        };
+        // Between a way of looking and the line itself, so that walls show.
+        let oblique = |from: DVec3, side: f64| (from + side * right + 0.3 * beam).normalize();
+        vec![
+            ("along the laser beam", looking(beam, right)),
+            ("from the camera's side", looking(oblique(camera, -0.6), right)),
+            ("from the other side", looking(oblique(away, 0.6), right)),
+            (
+                "from one end of the line",
+                looking((right + 0.5 * beam).normalize(), part_from_laser.rotation.y_axis),
+            ),
+        ]
+    }
+
+    fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
+        let deviations: Vec<f64> = self.unflagged().map(|p| p.deviation * 1e3).collect();
+        let sigmas: Vec<f64> = self.unflagged().map(|p| p.sigma * 1e3).collect();
+        let ratios: Vec<f64> = self
+            .unflagged()
+            .filter(|p| p.sigma > 0.0)
+            .map(|p| p.deviation / p.sigma)
+            .collect();
+        let n = ratios.len() as f64;
+        let normal = |low: f64, high: f64| {
+            let cdf = |x: f64| 0.5 * (1.0 + libm::erf(x / std::f64::consts::SQRT_2));
+            n * (cdf(high) - cdf(low))
+        };
+        let deviation_color = |d: f64| diverging(d, limits.deviation_um);
+        let sigma_color = |s: f64| sequential(s, limits.sigma_um);
+        let histogram = |title, values, low, high, color, expected| Histogram {
+            title,
+            values,
+            low,
+            high,
+            color,
+            expected,
+        };
+        let (d, s) = (limits.deviation_um, limits.sigma_um);
+        vec![
+            (
+                "Signed distance to the CAD.".into(),
+                histogram("deviation from CAD, µm", &deviations, -d, d, &deviation_color, None).svg(),
+            ),
+            (
+                "Predicted standard uncertainty.".into(),
+                histogram("standard uncertainty, µm", &sigmas, 0.0, s, &sigma_color, None).svg(),
+            ),
+            (
+                "If the uncertainty is right and nothing else is off, this is the normal \
+                 distribution (line)."
+                    .into(),
+                histogram(
+                    "deviation / its standard uncertainty",
+                    &ratios,
+                    -4.0,
+                    4.0,
+                    &|_| [170, 190, 210],
+                    Some(&normal),
+                )
+                .svg(),
+            ),
+        ]
+    }
+
+    fn viewer(&self, limits: &Limits) -> Viewer {
+        let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
+        let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
+        let mode = |name, caption: String, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
+            name,
+            caption,
+            colors: shown.iter().map(|p| color(p)).collect(),
+        };
+        let (d, s) = (limits.deviation_um, limits.sigma_um);
+        let mut layers = vec![Layer {
+            positions: shown.iter().map(|p| p.position).collect(),
+            modes: vec![
+                mode(
+                    "deviation",
+                    format!("Deviation: blue {} µm, red {} µm.", short(-d), short(d)),
+                    &|p| diverging(p.deviation * 1e3, d),
+                ),
+                mode(
+                    "standard uncertainty",
+                    format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
+                    &|p| sequential(p.sigma * 1e3, s),
+                ),
+                mode(
+                    "flags",
+                    "Points with a flag in magenta, others in grey-blue.".into(),
+                    &|p| if p.flags.is_empty() { UNFLAGGED } else { FLAGGED },
+                ),
+            ],
+        }];
+        layers.extend(self.coverage.as_ref().map(|coverage| {
+            Layer {
+                positions: coverage.places.iter().map(|(p, _)| *p).collect(),
+                modes: vec![Mode {
+                    name: "coverage of the CAD",
+                    caption: "Places on the CAD: green measured, yellow weak signal, violet hidden \
+                              from the camera, grey hidden from the laser, light grey outside."
+                        .into(),
+                    colors: coverage.places.iter().map(|(_, f)| of_fate(*f)).collect(),
+                }],
+            }
+        }));
+        Viewer {
+            bounds: self.simulation.accel.bounds(),
+            look: [0.6, 0.6],
+            layers,
+        }
+    }
+
+    fn setup(&self) -> Vec<(&'static str, String)> {
+        let scene = self.simulation.scene;
+        let path: Vec<DVec3> = self
+            .poses
+            .iter()
+            .step_by(self.poses.len().div_ceil(200))
+            .map(|pose| pose.part_from_laser.translation)
+            .collect();
+        let setup = Setup {
+            accel: &self.simulation.accel,
+            laser: &scene.laser,
+            camera: &scene.camera,
+            pose: self.middle(),
+            path: &path,
+        };
+        setup.drawings().into()
+    }
+
+    /// The frame with most to see, that with most doubtful points, and the middle.
+    fn sample_frames(&self) -> Vec<SampleFrame> {
+        let by_frame = |frame: u32| {
+            let start = self.points.partition_point(|p| p.frame < frame);
+            let end = self.points.partition_point(|p| p.frame <= frame);
+            &self.points[start..end]
+        };
+        let spread = |frame: u32| {
+            let pose = &self.poses[(frame - self.frames.start) as usize];
+            let beam = pose.part_from_laser.rotation.z_axis;
+            let depths: Vec<f64> = by_frame(frame).iter().map(|p| p.position.dot(beam)).collect();
+            let mean = depths.iter().sum::<f64>() / depths.len().max(1) as f64;
+            depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
+        };
+        let doubts = |frame: u32| {
+            let flagged = by_frame(frame).iter().filter(|p| !p.flags.is_empty());
+            flagged.count() as f64
+        };
+        let most = |of: &dyn Fn(u32) -> f64| {
+            let scored = self.frames.clone().map(|frame| (frame, of(frame)));
+            let best = scored.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+            best.map_or(self.frames.start, |(frame, _)| frame)
+        };
+        let mut chosen = vec![
+            (most(&spread), "the one with the greatest spread of depth"),
+            (most(&doubts), "the one with the most flags"),
+            (
+                self.frames.start + self.frames.len() as u32 / 2,
+                "the middle one",
+            ),
+        ];
+        let mut seen = Vec::new();
+        chosen.retain(|(frame, _)| {
+            let new = !seen.contains(frame);
+            seen.push(*frame);
+            new
+        });
+        chosen
+            .into_iter()
+            .map(|(frame, why)| self.sample_frame(frame, why))
+            .collect()
+    }
+
+    fn sample_frame(&self, frame: u32, why: &'static str) -> SampleFrame {
+        let simulation = self.simulation;
+        let sensor = &simulation.scene.camera.sensor;
+        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let (peaks, _) = simulation.measure(frame, &counts);
+        SampleFrame {
+            number: frame,
+            why,
+            png: encode_for_eyes(&counts, sensor.resolution.x as usize, sensor.max_count()),
+            width: sensor.resolution.x,
+            height: sensor.resolution.y,
+            line: peaks
+                .iter()
+                .map(|p| (p.column as f64 + 0.5, p.row))
+                .collect(),
+        }
+    }
+}
+
+/// Where the colours end: 98 of 100 unflagged points lie within; a nanometre where
+/// all is exact.
+struct Limits {
+    deviation_um: f64,
+    sigma_um: f64,
+}
+
+impl Limits {
+    fn of(points: &[CloudPoint]) -> Limits {
+        let most = |value: &dyn Fn(&CloudPoint) -> f64| {
+            let unflagged = points.iter().filter(|p| p.flags.is_empty());
+            let mut values: Vec<f64> = unflagged.map(|p| value(p).abs() * 1e3).collect();
+            values.sort_by(f64::total_cmp);
+            let at = values.get(values.len() * 98 / 100);
+            at.map_or(1.0, |&d| d.max(1e-3))
+        };
+        Limits {
+            deviation_um: most(&|p| p.deviation),
+            sigma_um: most(&|p| p.sigma),
+        }
+    }
+}
