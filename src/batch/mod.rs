@@ -1,6 +1,8 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
 mod files;
+mod frames;
+mod journal;
 mod render;
 mod scan;
 mod simulation;
@@ -8,7 +10,7 @@ mod speckle;
 mod wave;
 
 pub use render::{RenderSummary, render};
-pub use scan::{ScanSummary, scan};
+pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use wave::{
@@ -17,6 +19,7 @@ pub use wave::{
 
 use crate::error::{Error, Result};
 use crate::scene::Scene;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Which samples of a frame are traced.
@@ -52,6 +55,20 @@ impl Control<'_> {
             false => Ok(()),
         }
     }
+}
+
+/// Refuses frames the scan does not have, and none.
+fn check_frames(scene: &Scene, frames: &Range<u32>) -> Result<()> {
+    if !frames.is_empty() && frames.end <= scene.scan.frames {
+        return Ok(());
+    }
+    Err(Error::Usage(format!(
+        "--frames {}..{}: expected A..B with A < B, B at most {}, the number of frames of {}",
+        frames.start,
+        frames.end,
+        scene.scan.frames,
+        scene.path.display()
+    )))
 }
 
 /// Refuses a frame the scan does not have.

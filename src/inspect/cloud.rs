@@ -1,10 +1,11 @@
 //! The point cloud.
 
 use crate::math::DVec3;
+use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
 /// One measured point.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CloudPoint {
     /// Part frame, mm.
     pub position: DVec3,
