@@ -115,7 +115,11 @@ impl Output {
             true => serde_json::to_string(value).expect("results are JSON"),
             false => text.trim_end().to_owned(),
         };
-        writeln!(std::io::stdout(), "{text}").map_err(Error::io("write to", "stdout".as_ref()))
+        match writeln!(std::io::stdout(), "{text}") {
+            // Who closes the pipe has read enough; what the files hold is whole.
+            Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+            result => result.map_err(Error::io("write to", "stdout".as_ref())),
+        }
     }
 }
 
@@ -132,7 +136,8 @@ pub fn run() -> u8 {
     match execute(cli) {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("lasertrace: {error}");
+            // A closed stderr must not hide the exit code.
+            let _ = writeln!(std::io::stderr(), "lasertrace: {error}");
             error.exit_code()
         }
     }

@@ -3,7 +3,7 @@
 
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A laser-triangulation scan of one part. World frame right-handed,
 /// millimetres.
@@ -233,19 +233,61 @@ pub enum ApertureShape {
     Square,
 }
 
-/// A straight scan: in frame k the head's origin is at
-/// start_mm + k·step_mm·direction.
+/// The path of the scan: straight (`step_mm` and `direction`), or one of `rotary`
+/// and `poses`. In frame k the moving body stands at motion(k) · its pose at rest:
+/// the head at `start_mm`, unturned; the part at its position and rotation.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScanTable {
-    pub frames: u32,
-    pub step_mm: f64,
-    /// Direction of motion of the head in the world; any length.
-    #[serde(deserialize_with = "array")]
-    pub direction: [f64; 3],
-    /// Position of the head in frame 0. Default: the world's origin.
+    /// Number of frames; not with `poses`, whose lines say it.
+    pub frames: Option<u32>,
+    /// Which body moves; the other rests. Default: head.
+    #[serde(default)]
+    pub moves: Moves,
+    /// Way from one frame to the next.
+    pub step_mm: Option<f64>,
+    /// Direction of motion in the world; any length.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub direction: Option<[f64; 3]>,
+    /// Position of the head at rest. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
+    pub rotary: Option<RotaryTable>,
+    /// CSV file of one pose a frame, relative to the scene file: a header line
+    /// `x_mm,y_mm,z_mm` and then `rx_deg,ry_deg,rz_deg` (as part.rotation_deg) or
+    /// `qw,qx,qy,qz`; then one line of numbers a frame.
+    pub poses: Option<String>,
+    /// Frames a second: says how far the path goes in one exposure.
+    pub frame_rate_hz: Option<f64>,
+    /// Poses within one exposure, evenly spread about that of the frame, whose
+    /// light is averaged, 1 to 64. Default: 1, at rest during the exposure.
+    #[serde(default = "one_pose")]
+    pub exposure_poses: u32,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Moves {
+    #[default]
+    Head,
+    Part,
+}
+
+/// A rotary table: turns about an axis of the world, right-handed.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RotaryTable {
+    /// A point on the axis.
+    #[serde(deserialize_with = "array")]
+    pub axis_point_mm: [f64; 3],
+    /// Any length.
+    #[serde(deserialize_with = "array")]
+    pub axis_direction: [f64; 3],
+    /// Turn from one frame to the next.
+    pub step_deg: f64,
+    /// Turn in frame 0. Default: 0.
+    #[serde(default)]
+    pub start_deg: f64,
 }
 
 /// How the laser line is found in the image. Default: by centroid.
@@ -274,11 +316,23 @@ where
         .map_err(|_| serde::de::Error::invalid_length(length, &expected.as_str()))
 }
 
+fn optional_array<'de, D, T, const N: usize>(deserializer: D) -> Result<Option<[T; N]>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    array(deserializer).map(Some)
+}
+
 fn one() -> f64 {
     1.0
 }
 
 fn one_pattern() -> u32 {
+    1
+}
+
+fn one_pose() -> u32 {
     1
 }
 

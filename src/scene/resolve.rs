@@ -2,6 +2,7 @@
 
 use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
+use super::path::ScanPath;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::laser::Laser;
@@ -13,15 +14,6 @@ use crate::speckle::pattern;
 use crate::surface::Lambert;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-
-/// Positions of the scan head along a straight line, turned nowhere.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct LinearScan {
-    pub start: DVec3,
-    /// From one frame to the next.
-    pub step: DVec3,
-    pub frames: u32,
-}
 
 /// How speckle is modelled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -42,7 +34,7 @@ pub struct Measure {
 #[derive(serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
-    /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
+    /// SHA-256 of the scene file and of the files it names, hexadecimal.
     pub hash: String,
     pub seed: u64,
     /// `None`: laser light is taken as incoherent.
@@ -51,13 +43,14 @@ pub struct Scene {
     #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
-    pub world_from_part: Rigid,
+    /// Where the part is unless the path moves it.
+    pub part_at_rest: Rigid,
     pub laser: Laser,
     pub head_from_laser: Rigid,
     pub camera: Camera,
     pub head_from_camera: Rigid,
-    pub scan: LinearScan,
     pub measure: Measure,
+    pub scan: ScanPath,
 }
 
 impl Scene {
@@ -69,18 +62,30 @@ impl Scene {
         Resolver { source, path }.scene(file)
     }
 
+    /// Pose of the head in a frame.
     pub fn world_from_head(&self, frame: u32) -> Rigid {
-        Rigid::translation(self.scan.start + self.scan.step * frame as f64)
+        self.scan.world_from_head(frame as f64)
+    }
+
+    /// Pose of the part in a frame.
+    pub fn world_from_part(&self, frame: u32) -> Rigid {
+        self.scan.world_from_part(frame as f64, &self.part_at_rest)
     }
 
     pub fn part_from_head(&self, frame: u32) -> Rigid {
-        self.world_from_part.inverse() * self.world_from_head(frame)
+        self.part_from_head_at(frame as f64)
+    }
+
+    /// The same between frames, and beyond the ends as the path goes on.
+    pub fn part_from_head_at(&self, place: f64) -> Rigid {
+        let part = self.scan.world_from_part(place, &self.part_at_rest);
+        part.inverse() * self.scan.world_from_head(place)
     }
 }
 
 pub(super) struct Resolver<'a> {
     pub(super) source: Source,
-    path: &'a Path,
+    pub(super) path: &'a Path,
 }
 
 impl Resolver<'_> {
@@ -133,13 +138,12 @@ impl Resolver<'_> {
         let laser = self.laser(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
-        let direction = self.direction(file.scan.direction, "scan.direction")?;
-        let [step] = self.lengths([file.scan.step_mm], "scan.step_mm")?;
-        self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
+        let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
         let speckle = self.speckle(&file, &laser, &camera)?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
+        hash.update(poses_hash);
         Ok(Scene {
             path: self.path.to_owned(),
             hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
@@ -148,20 +152,16 @@ impl Resolver<'_> {
             write_frames: file.write_frames,
             mesh,
             surface: Lambert { reflectance },
-            world_from_part: Rigid::from_euler_xyz(rotation, position.into()),
+            part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
             laser,
             head_from_laser,
             camera,
             head_from_camera,
-            scan: LinearScan {
-                start: self.lengths(file.scan.start_mm, "scan.start_mm")?.into(),
-                step: direction * step,
-                frames: file.scan.frames,
-            },
             measure: Measure {
                 finder: file.measure.peak,
                 choice: file.measure.choose,
             },
+            scan,
         })
     }
 
