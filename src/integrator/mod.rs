@@ -1,9 +1,11 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
+mod bend;
 mod blocks;
 mod direct;
 mod footprint;
 pub mod plan;
+mod polygon;
 mod sight;
 mod truth;
 

@@ -24,6 +24,8 @@ pub struct SceneFile {
     pub laser: LaserTable,
     pub camera: CameraTable,
     pub scan: ScanTable,
+    #[serde(default)]
+    pub measure: MeasureTable,
 }
 
 /// How speckle patterns are read.
@@ -204,6 +206,8 @@ pub struct CameraTable {
     /// plane into focus.
     #[serde(default, deserialize_with = "array")]
     pub tilt_deg: [f64; 2],
+    /// Distortion of the lens. Default: none.
+    pub distortion: Option<DistortionTable>,
     pub exposure_ms: f64,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
@@ -218,6 +222,23 @@ pub struct CameraTable {
     /// Standard deviation of the read noise in electrons. With this key counts
     /// have shot and read noise; without it they are the rounded expectation.
     pub read_noise_e: Option<f64>,
+}
+
+/// Brown–Conrady distortion, of coordinates divided by the distance along the
+/// axis, before the tilt of the sensor. Coefficients left out are 0.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DistortionTable {
+    /// Radial, with r². Negative: barrel.
+    pub k1: f64,
+    /// Radial, with r⁴.
+    pub k2: f64,
+    /// Radial, with r⁶.
+    pub k3: f64,
+    /// Tangential (decentring), mainly along the rows.
+    pub p1: f64,
+    /// Tangential, mainly along the columns.
+    pub p2: f64,
 }
 
 #[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
@@ -243,6 +264,15 @@ pub struct ScanTable {
     /// Position of the head in frame 0. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
+}
+
+/// How points are measured in the images.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct MeasureTable {
+    /// A calibration.json, as `lasertrace calibrate` writes it; path relative to the
+    /// scene file. Default: the true values of camera and laser plane.
+    pub calibration: Option<String>,
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.
