@@ -1,5 +1,6 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
+mod calibrate;
 mod files;
 mod render;
 mod scan;
@@ -7,6 +8,7 @@ mod simulation;
 mod speckle;
 mod wave;
 
+pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};

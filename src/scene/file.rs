@@ -235,9 +235,10 @@ pub struct DistortionTable {
     pub k2: f64,
     /// Radial, with r⁶.
     pub k3: f64,
-    /// Tangential (decentring), mainly along the rows.
+    /// Tangential (decentring): moves images at radius r by p1·r² across the rows
+    /// and more.
     pub p1: f64,
-    /// Tangential, mainly along the columns.
+    /// The same across the columns.
     pub p2: f64,
 }
 

@@ -3,10 +3,11 @@
 use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
 use crate::camera::Camera;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
+use crate::profile::Calibration;
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
@@ -34,7 +35,7 @@ pub struct SpeckleModel {
 #[derive(serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
-    /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
+    /// SHA-256 of the scene file and of the mesh and calibration it names, hexadecimal.
     pub hash: String,
     pub seed: u64,
     /// `None`: laser light is taken as incoherent.
@@ -49,6 +50,8 @@ pub struct Scene {
     pub camera: Camera,
     pub head_from_camera: Rigid,
     pub scan: LinearScan,
+    /// What the measurement takes the sensor for; `None`: what it is.
+    pub calibration: Option<Calibration>,
 }
 
 impl Scene {
@@ -128,9 +131,11 @@ impl Resolver<'_> {
         let [step] = self.lengths([file.scan.step_mm], "scan.step_mm")?;
         self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
         let speckle = self.speckle(&file, &laser, &camera)?;
+        let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
+        hash.update(calibration_hash);
         Ok(Scene {
             path: self.path.to_owned(),
             hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
@@ -149,7 +154,39 @@ impl Resolver<'_> {
                 step: direction * step,
                 frames: file.scan.frames,
             },
+            calibration,
         })
+    }
+
+    /// The calibration that the scene names, and the bytes that stand for it in the
+    /// hash.
+    fn calibration(
+        &self,
+        file: &SceneFile,
+        camera: &Camera,
+    ) -> Result<(Option<Calibration>, Vec<u8>)> {
+        let Some(name) = &file.measure.calibration else {
+            return Ok((None, Vec::new()));
+        };
+        let path = self.beside(name);
+        if !path.is_file() {
+            let expected = format!("a calibration; there is none at {}", path.display());
+            return Err(self.source.wrong("measure.calibration", &expected));
+        }
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let calibration = Calibration::parse(&path, &bytes)?;
+        let [columns, rows] = camera.sensor.resolution.to_array();
+        self.check(
+            calibration.camera.resolution == camera.sensor.resolution,
+            "measure.calibration",
+            &format!("a calibration of a sensor of {columns} × {rows} pixels"),
+        )?;
+        Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
+    }
+
+    /// A path relative to the scene file.
+    fn beside(&self, name: &str) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("")).join(name)
     }
 
     /// The part's mesh, and the bytes that stand for a mesh file in the hash.
@@ -171,8 +208,7 @@ impl Resolver<'_> {
             Err(expected) => Err(self.source.wrong(key, &expected)),
         };
         if let Some(table) = &part.mesh {
-            let folder = self.path.parent().unwrap_or(Path::new(""));
-            let file = folder.join(&table.file);
+            let file = self.beside(&table.file);
             if !file.exists() {
                 let expected = format!("a mesh file; there is none at {}", file.display());
                 return Err(self.source.wrong("part.mesh.file", &expected));
