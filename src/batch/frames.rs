@@ -102,9 +102,8 @@ impl Run<'_> {
 
 /// One line a measured column: pixels, then the point in the part's frame.
 fn profile_csv(peaks: &[Peak], points: &[CloudPoint]) -> Vec<u8> {
-    let mut text = String::from(
-        "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um\n",
-    );
+    let mut text =
+        String::from("column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um\n");
     // Points are in the order of their peaks, and a peak may have none.
     let mut points = points.iter().peekable();
     for peak in peaks {

@@ -1,10 +1,11 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
+mod calibrate;
 mod files;
-mod peak_image;
-mod peaks;
 mod frames;
 mod journal;
+mod peak_image;
+mod peaks;
 mod render;
 mod scan;
 mod simulation;
@@ -12,6 +13,7 @@ mod speckle;
 mod synthetic;
 mod wave;
 
+pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use render::{RenderSummary, render};

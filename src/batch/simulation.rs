@@ -24,6 +24,8 @@ pub struct Simulation<'s> {
     pub scene: &'s Scene,
     pub accel: Accel<'s>,
     pub plan: Plan,
+    /// What the measurement knows of the sensor.
+    pub calibration: Calibration,
     speckle: Option<Patterns>,
     /// `None`: every sample is traced.
     clusters: Option<Clusters>,
@@ -65,6 +67,10 @@ impl<'s> Simulation<'s> {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
             plan,
+            calibration: scene
+                .calibration
+                .clone()
+                .unwrap_or_else(|| perfect_calibration(scene)),
             speckle: match &scene.speckle {
                 Some(model) => Some(Patterns::new(scene, model)?),
                 None => None,
@@ -146,16 +152,6 @@ impl<'s> Simulation<'s> {
         counts
     }
 
-    /// What the measurement knows of the sensor.
-    pub fn calibration(&self) -> Calibration {
-        let camera_from_laser = camera_from_laser(self.scene);
-        Calibration {
-            camera: self.scene.camera.clone(),
-            plane_point: camera_from_laser.translation,
-            plane_normal: camera_from_laser.rotation.y_axis,
-        }
-    }
-
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..
@@ -171,8 +167,8 @@ impl<'s> Simulation<'s> {
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
         let Camera { sensor, .. } = &self.scene.camera;
-        let calibration = self.calibration();
-        let part_from_camera = self.view(frame).part_from_camera;
+        let calibration = &self.calibration;
+        let part_from_camera = self.scene.part_from_head(frame) * calibration.head_from_camera;
         let columns = sensor.resolution.x as usize;
         let peaks = find_peaks(counts, columns, &self.peak_settings());
         let points = peaks
@@ -298,6 +294,17 @@ pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
         focus_distance: lens.focus_distance,
         magnification: lens.image_distance() / (point - eye).length(),
     }
+}
+
+/// The true values of a scene's sensor.
+pub(super) fn perfect_calibration(scene: &Scene) -> Calibration {
+    let camera_from_laser = camera_from_laser(scene);
+    Calibration::perfect(
+        scene.camera.model(),
+        scene.head_from_camera,
+        camera_from_laser.translation,
+        camera_from_laser.rotation.y_axis,
+    )
 }
 
 fn camera_from_laser(scene: &Scene) -> Rigid {

@@ -207,6 +207,8 @@ pub struct CameraTable {
     /// plane into focus.
     #[serde(default, deserialize_with = "array")]
     pub tilt_deg: [f64; 2],
+    /// Distortion of the lens. Default: none.
+    pub distortion: Option<DistortionTable>,
     pub exposure_ms: f64,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
@@ -221,6 +223,24 @@ pub struct CameraTable {
     /// Standard deviation of the read noise in electrons. With this key counts
     /// have shot and read noise; without it they are the rounded expectation.
     pub read_noise_e: Option<f64>,
+}
+
+/// Brown–Conrady distortion, of coordinates divided by the distance along the
+/// axis, before the tilt of the sensor. Coefficients left out are 0.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DistortionTable {
+    /// Radial, with r². Negative: barrel.
+    pub k1: f64,
+    /// Radial, with r⁴.
+    pub k2: f64,
+    /// Radial, with r⁶.
+    pub k3: f64,
+    /// Tangential (decentring): moves images at radius r by p1·r² across the rows
+    /// and more.
+    pub p1: f64,
+    /// The same across the columns.
+    pub p2: f64,
 }
 
 #[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
@@ -290,16 +310,20 @@ pub struct RotaryTable {
     pub start_deg: f64,
 }
 
-/// How the laser line is found in the image. Default: by centroid.
+/// How points are measured in the images.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct MeasureTable {
     /// How the line's row is found to a fraction of a pixel. Default: centroid.
-    #[serde(default)]
     pub peak: PeakFinder,
     /// Which line of a column with several is taken. Default: strongest.
-    #[serde(default)]
     pub choose: Choice,
+    /// A calibration.json, as `lasertrace calibrate` writes it; path relative to the
+    /// scene file. Default: the true values of camera and laser plane.
+    pub calibration: Option<String>,
+    /// Bring the cloud onto the CAD by a best fit before deviations are taken.
+    /// Default: false.
+    pub align: bool,
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.

@@ -48,6 +48,20 @@ pub enum Motion {
     },
 }
 
+impl ScanPath {
+    /// One frame, the head in the world's frame.
+    pub fn at_rest() -> ScanPath {
+        ScanPath {
+            frames: 1,
+            moves: Moves::Head,
+            motion: Motion::Linear { step: DVec3::ZERO },
+            start: DVec3::ZERO,
+            exposure_share: None,
+            exposure_poses: 1,
+        }
+    }
+}
+
 impl Motion {
     /// The motion at a place on the path, a frame number or between two. Poses of a
     /// list are joined by straight ways and turns of constant speed, and go on

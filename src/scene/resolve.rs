@@ -4,11 +4,11 @@ use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
 use super::path::ScanPath;
 use crate::camera::Camera;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
-use crate::profile::{Choice, PeakFinder};
+use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
@@ -28,6 +28,8 @@ pub struct SpeckleModel {
 pub struct Measure {
     pub finder: PeakFinder,
     pub choice: Choice,
+    /// Best fit of the cloud to the CAD before deviations are taken.
+    pub align: bool,
 }
 
 /// A validated scene: the world at rest and the head's way through it.
@@ -51,6 +53,8 @@ pub struct Scene {
     pub head_from_camera: Rigid,
     pub measure: Measure,
     pub scan: ScanPath,
+    /// What the measurement takes the sensor for; `None`: what it is.
+    pub calibration: Option<Calibration>,
 }
 
 impl Scene {
@@ -140,10 +144,12 @@ impl Resolver<'_> {
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
         let speckle = self.speckle(&file, &laser, &camera)?;
+        let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
         hash.update(poses_hash);
+        hash.update(calibration_hash);
         Ok(Scene {
             path: self.path.to_owned(),
             hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
@@ -160,9 +166,42 @@ impl Resolver<'_> {
             measure: Measure {
                 finder: file.measure.peak,
                 choice: file.measure.choose,
+                align: file.measure.align,
             },
             scan,
+            calibration,
         })
+    }
+
+    /// The calibration that the scene names, and the bytes that stand for it in the
+    /// hash.
+    fn calibration(
+        &self,
+        file: &SceneFile,
+        camera: &Camera,
+    ) -> Result<(Option<Calibration>, Vec<u8>)> {
+        let Some(name) = &file.measure.calibration else {
+            return Ok((None, Vec::new()));
+        };
+        let path = self.beside(name);
+        if !path.is_file() {
+            let expected = format!("a calibration; there is none at {}", path.display());
+            return Err(self.source.wrong("measure.calibration", &expected));
+        }
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let calibration = Calibration::parse(&path, &bytes)?;
+        let [columns, rows] = camera.sensor.resolution.to_array();
+        self.check(
+            calibration.camera.resolution == camera.sensor.resolution,
+            "measure.calibration",
+            &format!("a calibration of a sensor of {columns} × {rows} pixels"),
+        )?;
+        Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
+    }
+
+    /// A path relative to the scene file.
+    fn beside(&self, name: &str) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("")).join(name)
     }
 
     /// The part's mesh, and the bytes that stand for a mesh file in the hash.
@@ -184,8 +223,7 @@ impl Resolver<'_> {
             Err(expected) => Err(self.source.wrong(key, &expected)),
         };
         if let Some(table) = &part.mesh {
-            let folder = self.path.parent().unwrap_or(Path::new(""));
-            let file = folder.join(&table.file);
+            let file = self.beside(&table.file);
             if !file.exists() {
                 let expected = format!("a mesh file; there is none at {}", file.display());
                 return Err(self.source.wrong("part.mesh.file", &expected));
