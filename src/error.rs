@@ -79,8 +79,14 @@ pub enum Error {
     /// Embree failed.
     #[error("Embree: {0}")]
     Embree(String),
+    /// Another run writes to this folder.
+    #[error("another run is writing to {}; wait for its end or choose another folder", .0.display())]
+    Busy(PathBuf),
     /// The user stopped the run.
-    #[error("interrupted; run the same command again to complete")]
+    #[error(
+        "interrupted; run the same command again to complete (with scan --resume the \
+         finished frames stay)"
+    )]
     Interrupted,
 }
 
@@ -113,7 +119,7 @@ impl Error {
                 StorageFull | QuotaExceeded => 75,
                 _ => 74,
             },
-            Error::Interrupted => 75,
+            Error::Busy(_) | Error::Interrupted => 75,
         }
     }
 }

@@ -3,7 +3,7 @@
 use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
-use lasertrace::camera::{Camera, Lens, Sensor};
+use lasertrace::camera::{Camera, Distortion, Lens, Sensor};
 use lasertrace::integrator::{Speckle, View, footprint_image, irradiance_image};
 use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
 use lasertrace::math::rng::{Key, Purpose};
@@ -70,6 +70,7 @@ fn camera(resolution: UVec2, pitch: f64, focus_distance: f64, tilt: DVec2) -> Ca
             f_number: 8.0,
             focus_distance,
             aperture: lasertrace::camera::Aperture::Circle,
+            distortion: None,
         },
         sensor: Sensor {
             resolution,
@@ -273,6 +274,37 @@ fn random_scenes_are_the_same_to_the_bit() {
         }
         // Both kinds are there.
         assert!(lit >= 20 && dark >= 3, "{name}: {lit} lit, {dark} dark");
+    }
+}
+
+/// The strongest of these distortions move the sensor's corner by half its distance
+/// from the axis; those that fold are not made.
+#[test]
+fn scenes_seen_through_a_distorting_lens_are_the_same_to_the_bit() {
+    let lookup = lookup();
+    for (i, (name, mesh)) in parts().iter().enumerate() {
+        let part = Part::new(mesh, &lookup);
+        let mut lit = 0;
+        for seed in 0..60 {
+            let mut random = Random::new(1000 * i as u64 + seed);
+            let mut setup = Setup::random(mesh, &mut random);
+            let reach = setup.camera.model().reach().unwrap();
+            let strength = random.scale(1e-3, 1.0);
+            let distortion = loop {
+                let mut share =
+                    |power: i32| random.between(-0.3, 0.3) * strength / reach.powi(power);
+                let radial = [share(2), share(4), share(6)];
+                let tangential = [share(1) * 0.1, share(1) * 0.1];
+                if let Ok(distortion) = Distortion::new(radial, tangential, reach) {
+                    break distortion;
+                }
+            };
+            setup.camera.lens.distortion = Some(distortion);
+            let (same, pixels) = part.compare(&setup);
+            assert!(same, "{name}, seed {seed}");
+            lit += usize::from(pixels > 0);
+        }
+        assert!(lit >= 15, "{name}: {lit} lit");
     }
 }
 

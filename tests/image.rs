@@ -17,6 +17,7 @@ fn camera(columns: u32, rows: u32, tilt_deg: f64) -> Camera {
             f_number: 8.0,
             focus_distance: 150.0,
             aperture: Aperture::Circle,
+            distortion: None,
         },
         sensor: Sensor {
             resolution: UVec2::new(columns, rows),

@@ -3,7 +3,7 @@
 //! columns in which the sensor sees the lit line.
 
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
-use lasertrace::batch::{Control, Coverage, scan};
+use lasertrace::batch::{Control, Coverage, ScanOptions, scan};
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh;
 use lasertrace::scene::Scene;
@@ -252,7 +252,11 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
     };
     scan(
         &scene,
-        Coverage::Footprint,
+        &ScanOptions {
+            coverage: Coverage::Footprint,
+            frames: None,
+            resume: false,
+        },
         &folder.path().join("out"),
         &control,
     )

@@ -17,8 +17,26 @@ fn unfinished(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Writes beside `path`, then renames. On an error nothing is left.
+/// Writes beside `path`, then renames. On an error nothing is left, and after a loss
+/// of power the file is whole or not there.
 pub fn write(
+    path: &Path,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    replace(path, |out| {
+        content(out)?;
+        out.flush()?;
+        out.get_ref().sync_data()
+    })
+}
+
+/// The same without waiting for the disk, for files by the thousand whose checksum
+/// is kept elsewhere.
+pub fn write_checked_later(path: &Path, bytes: &[u8]) -> Result<()> {
+    replace(path, |out| out.write_all(bytes))
+}
+
+fn replace(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {

@@ -1,6 +1,9 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
+mod calibrate;
 mod files;
+mod frames;
+mod journal;
 mod peak_image;
 mod peaks;
 mod render;
@@ -10,10 +13,11 @@ mod speckle;
 mod synthetic;
 mod wave;
 
+pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use render::{RenderSummary, render};
-pub use scan::{ScanSummary, scan};
+pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use wave::{
@@ -22,6 +26,7 @@ pub use wave::{
 
 use crate::error::{Error, Result};
 use crate::scene::Scene;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Which samples of a frame are traced.
@@ -57,6 +62,20 @@ impl Control<'_> {
             false => Ok(()),
         }
     }
+}
+
+/// Refuses frames the scan does not have, and none.
+fn check_frames(scene: &Scene, frames: &Range<u32>) -> Result<()> {
+    if !frames.is_empty() && frames.end <= scene.scan.frames {
+        return Ok(());
+    }
+    Err(Error::Usage(format!(
+        "--frames {}..{}: expected A..B with A < B, B at most {}, the number of frames of {}",
+        frames.start,
+        frames.end,
+        scene.scan.frames,
+        scene.path.display()
+    )))
 }
 
 /// Refuses a frame the scan does not have.

@@ -1,7 +1,7 @@
 //! Bias and noise of each finder of the laser line, charted on lines whose place
 //! is known.
 
-use super::synthetic::{Condition, MAX_COUNT, PHASES};
+use super::synthetic::{BLACK, Condition, MAX_COUNT, PHASES};
 use super::{Control, files};
 use crate::error::Result;
 use crate::inspect::plot::Panel;
@@ -40,7 +40,8 @@ pub struct ChartAxis {
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct FinderError {
     /// Root mean square over the places in a pixel of the mean error there, less
-    /// what the noise of so many trials adds.
+    /// what the noise of so many trials adds; 0 if that explains it (four standard
+    /// deviations).
     pub bias_px: f64,
     /// Standard deviation about these means.
     pub noise_px: f64,
@@ -57,7 +58,7 @@ const BASE: Condition = Condition {
 };
 
 /// Trials at each place in the pixel.
-const TRIALS: usize = 100;
+const TRIALS: usize = 300;
 
 /// An axis of the chart: its names, its values, and the condition for a value.
 type Axis = (
@@ -85,7 +86,7 @@ const AXES: [Axis; 5] = [
         "height of the line / full scale",
         &[0.5, 0.9, 1.2, 1.5, 2.0, 4.0, 8.0, 16.0],
         |share| Condition {
-            height: share * MAX_COUNT as f64,
+            height: share * (MAX_COUNT as f64 - BLACK),
             ..BASE
         },
     ),
@@ -93,9 +94,13 @@ const AXES: [Axis; 5] = [
         "Noise",
         "height of the line / noise of a pixel",
         &[8.0, 12.0, 20.0, 50.0, 100.0, 300.0, 1000.0],
-        |snr| Condition {
-            noise: BASE.height / snr,
-            ..BASE
+        |snr| {
+            let height = (BASE.noise * snr).min(BASE.height);
+            Condition {
+                height,
+                noise: height / snr,
+                ..BASE
+            }
         },
     ),
     (
@@ -170,32 +175,63 @@ fn errors(
     lookup: &Lookup,
     seed: u64,
 ) -> Option<FinderError> {
+    let noisy = spread(condition, finder, TRIALS, lookup, seed)?;
+    // Without speckle the bias shows best where there is no noise; light or noise
+    // that change it have their own panels.
+    let silent = Condition {
+        noise: 0.0,
+        ..*condition
+    };
+    let by_light = condition.speckle_px == 0.0 && condition.noise == BASE.noise;
+    let bias = match by_light && condition.height >= BASE.height / 2.0 {
+        true => spread(&silent, finder, 1, lookup, seed)?,
+        false => noisy,
+    };
+    Some(FinderError {
+        bias_px: bias.bias_px,
+        ..noisy
+    })
+}
+
+/// Errors over `trials` lines at each place in the pixel.
+fn spread(
+    condition: &Condition,
+    finder: PeakFinder,
+    trials: usize,
+    lookup: &Lookup,
+    seed: u64,
+) -> Option<FinderError> {
     let settings = PeakSettings {
         finder,
         ..PeakSettings::new(MAX_COUNT)
     };
-    let columns = PHASES * TRIALS;
+    let columns = PHASES * trials;
     let image = condition.image(columns, lookup, seed);
-    let mut by_phase = vec![Vec::with_capacity(TRIALS); PHASES];
+    let mut by_phase = vec![Vec::with_capacity(trials); PHASES];
     for peak in find_peaks(&image, columns, &settings) {
         let column = peak.column as usize;
         by_phase[column % PHASES].push(peak.row - condition.truth(column));
     }
     let found = by_phase.iter().map(Vec::len).sum::<usize>() as f64;
-    if by_phase.iter().any(|errors| errors.len() < TRIALS / 2) {
+    if by_phase.iter().any(|errors| 2 * errors.len() < trials) {
         return None;
     }
-    let (mut means, mut variances, mut excess) = (0.0, 0.0, 0.0);
+    let phases = PHASES as f64;
+    let (mut means, mut variances, mut by_chance) = (0.0, 0.0, 0.0);
     for errors in &by_phase {
         let n = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / n;
         let squares: f64 = errors.iter().map(|e| (e - mean).powi(2)).sum();
-        means += mean * mean / PHASES as f64;
-        variances += squares / (n - 1.0) / PHASES as f64;
-        excess += squares / (n - 1.0) / n / PHASES as f64;
+        let variance = squares / (n - 1.0).max(1.0);
+        means += mean * mean / phases;
+        variances += variance / phases;
+        by_chance += variance / n / phases;
     }
+    // The mean of the squares of as many normal numbers strays by √(2/phases).
+    let excess = means - by_chance;
+    let is_chance = excess < 4.0 * by_chance * (2.0 / phases).sqrt();
     Some(FinderError {
-        bias_px: (means - excess).max(0.0).sqrt(),
+        bias_px: if is_chance { 0.0 } else { excess.sqrt() },
         noise_px: variances.sqrt(),
         found: found / columns as f64,
     })
@@ -224,7 +260,7 @@ fn drawing(chart: &PeakChart) -> String {
     let _ = write!(
         svg,
         "<path d=\"M760 48h26\" stroke=\"#333\" stroke-width=\"1.6\" stroke-dasharray=\"5 3\"/>\
-         <text x=\"792\" y=\"52\">law of speckle for the centroid, 0.39·√(hσ)</text>"
+         <text x=\"792\" y=\"52\">law of speckle for the centroid, 0.39·√(hσ), pixels ≪ h</text>"
     );
     for (column, axis) in chart.axes.iter().enumerate() {
         for (row, (what, of)) in QUANTITIES.into_iter().enumerate() {
@@ -270,11 +306,11 @@ fn caption(svg: &mut String) {
     let lines = [
         format!(
             "Bias: mean error against the light's centre of gravity, rms over {PHASES} places in \
-             the pixel; noise: standard deviation about it. {TRIALS} lines at each place; what \
-             lies below 0.0001 px is drawn there (a bias within chance too)."
+             the pixel; noise: standard deviation about it. {TRIALS} lines at each place. On the \
+             lowest line: less than 0.0001 px, or no bias beyond chance."
         ),
         format!(
-            "Where a panel does not say otherwise: σ = {} px, {} counts high on a scale of \
+            "Where a panel does not say otherwise: σ = {} px, {} counts high on {BLACK} on a scale of \
              {MAX_COUNT}, noise of a pixel {} counts; with speckle (contrast 1) 200 counts high on average, \
              noise 2 counts.",
             BASE.sigma, BASE.height, BASE.noise

@@ -1,22 +1,23 @@
-//! A whole scan: frames in parallel, then cloud, summary, report and, last of
+//! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
 //! all, the manifest that says the run is complete.
 
+use super::frames::Run;
+use super::journal::{Journal, RunKey};
 use super::{Control, Coverage, Simulation, files};
 use crate::accel;
 use crate::error::Result;
 use crate::inspect::chart::short;
 use crate::inspect::cloud::{self, CloudPoint};
 use crate::inspect::deviation::DeviationStatistics;
-use crate::inspect::picture::{ParallelView, cloud_picture, encode_counts, encode_for_eyes};
+use crate::inspect::picture::{ParallelView, cloud_picture, encode_for_eyes};
 use crate::inspect::report::{Report, SampleFrame};
 use crate::math::DVec3;
-use crate::profile::{Peak, find_peaks};
+use crate::profile::find_peaks;
 use crate::scene::Scene;
-use rayon::prelude::*;
 use serde::Serialize;
-use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 /// `summary.json`.
@@ -39,12 +40,11 @@ pub struct ScanSummary {
 #[derive(Serialize)]
 struct Manifest<'a> {
     program: &'static str,
-    version: &'static str,
-    embree: String,
     scene: &'a Path,
-    scene_sha256: &'a str,
-    seed: u64,
-    frames: u32,
+    #[serde(flatten)]
+    key: &'a RunKey,
+    /// Frames that an earlier run had finished.
+    frames_kept: usize,
     coverage: Coverage,
     threads: usize,
     seconds_prepare: f64,
@@ -52,67 +52,64 @@ struct Manifest<'a> {
     seconds_report: f64,
 }
 
-/// Runs all frames and writes `cloud.ply`, `profiles/`, `summary.json`,
-/// `report.html` and `manifest.json` to `out`, and `frames/` if the scene asks
-/// for them. What an earlier run left there under these names goes first.
+/// What of a scan to run, and how.
+#[derive(Debug, Clone)]
+pub struct ScanOptions {
+    pub coverage: Coverage,
+    /// Half-open; `None`: all.
+    pub frames: Option<Range<u32>>,
+    /// Keep the frames that an earlier run finished.
+    pub resume: bool,
+}
+
+/// Runs the frames and writes `cloud.ply`, `profiles/`, `summary.json`,
+/// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
+/// the scene asks for them. What an earlier run left there under these names goes
+/// first, but with `resume` the frames whose record and files are whole.
+///
+/// While frames are taken, memory does not grow with their number; for the report
+/// all points are read back, some 100 bytes each.
 pub fn scan(
     scene: &Scene,
-    coverage: Coverage,
+    options: &ScanOptions,
     out: &Path,
     control: &Control,
 ) -> Result<ScanSummary> {
     let start = Instant::now();
-    let (profiles, frames) = clear(scene, out)?;
-    let simulation = coverage.simulation(scene)?;
+    let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
+    super::check_frames(scene, &frames)?;
+    let key = RunKey {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        embree: accel::embree::version(),
+        scene_sha256: scene.hash.clone(),
+        seed: scene.seed,
+        frames: frames.clone(),
+    };
+    files::create_folder(out)?;
+    let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
+    clear(scene, out, kept.is_empty())?;
+    let simulation = options.coverage.simulation(scene)?;
     let prepared = Instant::now();
 
-    let columns = scene.camera.sensor.resolution.x;
-    let done = AtomicU64::new(0);
-    let points: Vec<Vec<CloudPoint>> = (0..scene.scan.frames)
-        .into_par_iter()
-        .map(|frame| {
-            control.check()?;
-            let counts = simulation.counts(frame, &simulation.irradiance(frame));
-            let (peaks, points) = simulation.measure(frame, &counts);
-            let name = profiles.join(format!("profile-{frame:06}.csv"));
-            write_profile(&name, &peaks, &points)?;
-            if scene.write_frames {
-                let name = frames.join(format!("frame-{frame:06}.png"));
-                files::write_bytes(&name, &encode_counts(&counts, columns as usize))?;
-            }
-            (control.progress)(1 + done.fetch_add(1, Ordering::Relaxed));
-            Ok(points)
-        })
-        .collect::<Result<_>>()?;
+    let run = Run {
+        simulation: &simulation,
+        out,
+        control,
+        done: AtomicU64::new(kept.len() as u64),
+    };
+    run.repair(frames.start, &kept)?;
+    run.frames(frames.start + kept.len() as u32..frames.end, &mut journal)?;
     let measured = Instant::now();
 
-    let sample = sample_frame(&simulation, &points);
-    let points = points.concat();
-    let summary = ScanSummary {
-        scene: scene.path.clone(),
-        frames: scene.scan.frames,
-        columns,
-        measured_share: points.len() as f64 / (columns as f64 * scene.scan.frames as f64),
-        deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
-        cloud: out.join("cloud.ply"),
-        report: out.join("report.html"),
-        pictures: ["frame.png", "cloud.png"].map(|name| out.join(name)),
-    };
-    files::write_bytes(&summary.pictures[0], &sample.png)?;
-    files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
-    let report = report(&simulation, &points, &summary, sample);
-    files::write_bytes(&summary.pictures[1], &report.views[1].1)?;
-    files::write_bytes(&summary.report, report.html().as_bytes())?;
-    files::write_json(&out.join("summary.json"), &summary)?;
+    let summary = finish(&simulation, &frames, &journal.points()?, out, control)?;
+    journal.sync()?;
+    control.check()?;
     let manifest = Manifest {
         program: env!("CARGO_PKG_NAME"),
-        version: env!("CARGO_PKG_VERSION"),
-        embree: accel::embree::version(),
         scene: &scene.path,
-        scene_sha256: &scene.hash,
-        seed: scene.seed,
-        frames: scene.scan.frames,
-        coverage,
+        key: &key,
+        frames_kept: kept.len(),
+        coverage: options.coverage,
         threads: rayon::current_num_threads(),
         seconds_prepare: (prepared - start).as_secs_f64(),
         seconds_frames: (measured - prepared).as_secs_f64(),
@@ -122,9 +119,9 @@ pub fn scan(
     Ok(summary)
 }
 
-/// Makes the folders for profiles and frames, free of an earlier run's files. The
-/// manifest goes first: from here on the run is not complete.
-fn clear(scene: &Scene, out: &Path) -> Result<(PathBuf, PathBuf)> {
+/// Makes the folders for profiles and frames, free of an earlier run's files if this
+/// one starts `anew`. The manifest goes first: from here on the run is not complete.
+fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
     let (profiles, frames) = (out.join("profiles"), out.join("frames"));
     files::create_folder(&profiles)?;
     for name in [
@@ -137,54 +134,56 @@ fn clear(scene: &Scene, out: &Path) -> Result<(PathBuf, PathBuf)> {
     ] {
         files::remove(&out.join(name))?;
     }
-    files::remove_all(&profiles, "profile-")?;
-    files::remove_all(&frames, "frame-")?;
+    if anew {
+        files::remove_all(&profiles, "profile-")?;
+        files::remove_all(&frames, "frame-")?;
+    }
     if scene.write_frames {
         files::create_folder(&frames)?;
     }
-    Ok((profiles, frames))
+    Ok(())
 }
 
-/// One line a measured column: pixels, then the point in the part's frame.
-fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<()> {
-    files::write(path, |out| {
-        writeln!(
-            out,
-            "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um"
-        )?;
-        // Points are in the order of their peaks, and a peak may have none.
-        let mut points = points.iter().peekable();
-        for peak in peaks {
-            let Peak {
-                column,
-                row,
-                intensity,
-                sigma,
-                flags,
-                ..
-            } = peak;
-            write!(out, "{column},{row:.5},{intensity:.1},{sigma:.3},{flags}")?;
-            match points.next_if(|point| point.column == peak.column) {
-                Some(point) => {
-                    let [x, y, z] = point.position.to_array();
-                    let deviation = point.deviation * 1e3;
-                    writeln!(out, ",{x:.6},{y:.6},{z:.6},{deviation:.4}")?;
-                }
-                None => writeln!(out, ",,,,")?,
-            }
-        }
-        Ok(())
-    })
+/// From the points of all frames to cloud, pictures, report and summary.
+fn finish(
+    simulation: &Simulation,
+    frames: &Range<u32>,
+    points: &[Vec<CloudPoint>],
+    out: &Path,
+    control: &Control,
+) -> Result<ScanSummary> {
+    let scene = simulation.scene;
+    let sample = sample_frame(simulation, frames.start, points);
+    control.check()?;
+    let points = points.concat();
+    let columns = scene.camera.sensor.resolution.x;
+    let summary = ScanSummary {
+        scene: scene.path.clone(),
+        frames: frames.len() as u32,
+        columns,
+        measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
+        deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
+        cloud: out.join("cloud.ply"),
+        report: out.join("report.html"),
+        pictures: ["frame.png", "cloud.png"].map(|name| out.join(name)),
+    };
+    files::write_bytes(&summary.pictures[0], &sample.png)?;
+    files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
+    control.check()?;
+    let report = report(simulation, &points, &summary, sample, control)?;
+    files::write_bytes(&summary.pictures[1], &report.views[1].1)?;
+    files::write_bytes(&summary.report, report.html().as_bytes())?;
+    files::write_json(&out.join("summary.json"), &summary)?;
+    Ok(summary)
 }
 
 /// The frame with the greatest spread of depth: there is most to see.
-fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> SampleFrame {
+fn sample_frame(simulation: &Simulation, first: u32, points: &[Vec<CloudPoint>]) -> SampleFrame {
     let scene = simulation.scene;
-    let up = scene
-        .world_from_part
-        .inverse()
-        .vector(scene.head_from_laser.rotation.z_axis);
-    let spread = |points: &Vec<CloudPoint>| {
+    let spread = |i: usize| {
+        let points = &points[i];
+        let part_from_head = scene.part_from_head(first + i as u32);
+        let up = part_from_head.vector(scene.head_from_laser.rotation.z_axis);
         let n = points.len().max(1) as f64;
         let mean = points.iter().map(|p| p.position.dot(up)).sum::<f64>() / n;
         points
@@ -193,8 +192,9 @@ fn sample_frame(simulation: &Simulation, points: &[Vec<CloudPoint>]) -> SampleFr
             .sum::<f64>()
     };
     let shown = (0..points.len())
-        .max_by(|&a, &b| spread(&points[a]).total_cmp(&spread(&points[b])))
-        .unwrap_or(0) as u32;
+        .map(|i| (i, spread(i)))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .map_or(first, |(i, _)| first + i as u32);
     let sensor = &scene.camera.sensor;
     let counts = simulation.counts(shown, &simulation.irradiance(shown));
     let columns = sensor.resolution.x as usize;
@@ -215,7 +215,8 @@ fn report<'a>(
     points: &[CloudPoint],
     summary: &ScanSummary,
     frame: SampleFrame,
-) -> Report<'a> {
+    control: &Control,
+) -> Result<Report<'a>> {
     let scene = simulation.scene;
     let deviations_um: Vec<f64> = points.iter().map(|p| p.deviation * 1e3).collect();
     let mut sizes: Vec<f64> = deviations_um.iter().map(|d| d.abs()).collect();
@@ -225,7 +226,7 @@ fn report<'a>(
         .get(sizes.len() * 98 / 100)
         .map_or(1.0, |&d| d.max(1e-3));
     let plan = &simulation.plan;
-    Report {
+    Ok(Report {
         title: "Laser-triangulation scan",
         facts: vec![
             ("scene", scene.path.display().to_string()),
@@ -251,10 +252,11 @@ fn report<'a>(
         views: two_views(simulation)
             .into_iter()
             .map(|(caption, view)| {
+                control.check()?;
                 let png = cloud_picture(&simulation.accel, points, view, limit * 1e-3, 1000);
-                (caption, png)
+                Ok((caption, png))
             })
-            .collect(),
+            .collect::<Result<_>>()?,
         color_limit_um: limit,
         deviations_um,
         statistics: summary.deviation.clone(),
@@ -271,13 +273,16 @@ fn report<'a>(
                 ]
             })
             .collect(),
-    }
+    })
 }
 
-/// The part as the laser sees it, and obliquely from the camera's side.
+/// The part as the laser sees it in the middle of the path, and obliquely from the
+/// camera's side at its start: two sides of a part that turns.
 fn two_views(simulation: &Simulation) -> [(&'static str, ParallelView); 2] {
-    let view = simulation.view(0);
-    let (laser, camera) = (&view.part_from_laser, &view.part_from_camera);
+    let scan = &simulation.scene.scan;
+    let middle = simulation.view(scan.frames / 2).part_from_laser.rotation;
+    let start = simulation.view(0);
+    let (laser, camera) = (&start.part_from_laser, &start.part_from_camera);
     let right = laser.rotation.x_axis;
     let beam = laser.rotation.z_axis;
     // Between the camera's way of looking and the line itself, so that walls show.
@@ -289,8 +294,13 @@ fn two_views(simulation: &Simulation) -> [(&'static str, ParallelView); 2] {
             down: into.cross(right),
         }
     };
-    [
-        ("along the laser beam", across(beam, right)),
-        ("obliquely", across(oblique, right)),
-    ]
+    let captions = match scan.turns() {
+        true => [
+            "along the laser beam in the middle frame",
+            "obliquely, as in the first frame",
+        ],
+        false => ["along the laser beam", "obliquely"],
+    };
+    let views = [across(middle.z_axis, middle.x_axis), across(oblique, right)];
+    [(captions[0], views[0]), (captions[1], views[1])]
 }

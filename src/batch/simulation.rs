@@ -6,16 +6,17 @@ use crate::camera::{Camera, DARK_GROUP, DarkCounts};
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
-use crate::integrator::plan::SpeckleOptics;
+use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
 use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, PeakSettings, find_peaks};
-use crate::scene::{Scene, SpeckleModel};
+use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::{Source, SurfaceView};
+use crate::speckle::path::PathAnchor;
 use crate::speckle::pattern::{Aperture, PatternSpec};
 use rayon::prelude::*;
 
@@ -23,6 +24,8 @@ pub struct Simulation<'s> {
     pub scene: &'s Scene,
     pub accel: Accel<'s>,
     pub plan: Plan,
+    /// What the measurement knows of the sensor.
+    pub calibration: Calibration,
     speckle: Option<Patterns>,
     /// `None`: every sample is traced.
     clusters: Option<Clusters>,
@@ -40,7 +43,13 @@ struct Patterns {
     lookup: Lookup,
     map: GrainMap,
     per_pixel: bool,
-    anchor: PoseAnchor,
+    anchor: Anchor,
+}
+
+enum Anchor {
+    /// Nothing turns: exact over any length.
+    Pose(PoseAnchor),
+    Path(PathAnchor),
 }
 
 impl<'s> Simulation<'s> {
@@ -58,6 +67,10 @@ impl<'s> Simulation<'s> {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
             plan,
+            calibration: scene
+                .calibration
+                .clone()
+                .unwrap_or_else(|| perfect_calibration(scene)),
             speckle: match &scene.speckle {
                 Some(model) => Some(Patterns::new(scene, model)?),
                 None => None,
@@ -68,8 +81,13 @@ impl<'s> Simulation<'s> {
     }
 
     pub fn view(&self, frame: u32) -> View<'_> {
+        self.view_at(frame as f64)
+    }
+
+    /// The view at a place on the path, a frame number or between two.
+    fn view_at(&self, place: f64) -> View<'_> {
         let scene = self.scene;
-        let part_from_head = scene.part_from_head(frame);
+        let part_from_head = scene.part_from_head_at(place);
         View {
             accel: &self.accel,
             surface: scene.surface,
@@ -77,18 +95,33 @@ impl<'s> Simulation<'s> {
             part_from_laser: part_from_head * scene.head_from_laser,
             camera: &scene.camera,
             part_from_camera: part_from_head * scene.head_from_camera,
-            speckle: self.speckle.as_ref().map(|p| p.in_frame(&part_from_head)),
+            speckle: self.speckle.as_ref().map(|p| p.at(place, &part_from_head)),
             samples_per_side: self.plan.samples_per_side,
         }
     }
 
-    /// Irradiance on the sensor in a frame, mW/mm².
+    /// Irradiance on the sensor in a frame, mW/mm², the mean over the poses of its
+    /// exposure.
     pub fn irradiance(&self, frame: u32) -> Vec<f32> {
-        let view = self.view(frame);
-        match &self.clusters {
-            Some(clusters) => footprint_image(&view, clusters),
-            None => irradiance_image(&view),
+        let image = |place| {
+            let view = self.view_at(place);
+            match &self.clusters {
+                Some(clusters) => footprint_image(&view, clusters),
+                None => irradiance_image(&view),
+            }
+        };
+        let mut places = self.scene.scan.exposure_places(frame);
+        let mut mean = image(places.next().expect("an exposure has a pose"));
+        let share = 1.0 / self.scene.scan.exposure_poses as f32;
+        if share < 1.0 {
+            mean.iter_mut().for_each(|e| *e *= share);
         }
+        for place in places {
+            for (mean, e) in mean.iter_mut().zip(image(place)) {
+                *mean += e * share;
+            }
+        }
+        mean
     }
 
     /// What the sensor makes of an irradiance image.
@@ -119,16 +152,6 @@ impl<'s> Simulation<'s> {
         counts
     }
 
-    /// What the measurement knows of the sensor.
-    pub fn calibration(&self) -> Calibration {
-        let camera_from_laser = camera_from_laser(self.scene);
-        Calibration {
-            camera: self.scene.camera.clone(),
-            plane_point: camera_from_laser.translation,
-            plane_normal: camera_from_laser.rotation.y_axis,
-        }
-    }
-
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..
@@ -144,8 +167,8 @@ impl<'s> Simulation<'s> {
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
         let Camera { sensor, .. } = &self.scene.camera;
-        let calibration = self.calibration();
-        let part_from_camera = self.view(frame).part_from_camera;
+        let calibration = &self.calibration;
+        let part_from_camera = self.scene.part_from_head(frame) * calibration.head_from_camera;
         let columns = sensor.resolution.x as usize;
         let peaks = find_peaks(counts, columns, &self.peak_settings());
         let points = peaks
@@ -180,7 +203,6 @@ impl Patterns {
     fn new(scene: &Scene, model: &SpeckleModel) -> Result<Patterns> {
         let spec = scan_patterns(scene.seed, model.aperture);
         let wavelength = scene.laser.beam.wavelength;
-        let reference = scene.part_from_head(0);
         Ok(Patterns {
             lookup: Lookup::new(&spec, model.method, model.coherence)?,
             map: GrainMap::new(
@@ -189,16 +211,15 @@ impl Patterns {
                 scene.camera.speckle_size_gradient(wavelength),
             ),
             per_pixel: matches!(model.method, Method::Prefiltered { .. }),
-            anchor: PoseAnchor::new(
-                surface_view(scene, None),
-                reference.inverse().rotation,
-                scene.scan.step,
-            ),
+            anchor: anchor(scene),
         })
     }
 
-    fn in_frame(&self, part_from_head: &Rigid) -> Speckle<'_> {
-        let at = self.anchor.coordinate(part_from_head);
+    fn at(&self, place: f64, part_from_head: &Rigid) -> Speckle<'_> {
+        let at = match &self.anchor {
+            Anchor::Pose(anchor) => anchor.coordinate(part_from_head),
+            Anchor::Path(anchor) => anchor.coordinate(place),
+        };
         Speckle {
             lookup: &self.lookup,
             map: self.map,
@@ -208,6 +229,37 @@ impl Patterns {
             slice: at.u * self.lookup.slices_per_diameter(),
         }
     }
+}
+
+/// How the patterns follow the part along the scene's path.
+fn anchor(scene: &Scene) -> Anchor {
+    let view = surface_view(scene, None);
+    let scan = &scene.scan;
+    let first = scene.part_from_head(0);
+    let ways = |frame| {
+        first
+            .inverse()
+            .vector(scene.part_from_head(frame).translation - first.translation)
+    };
+    let direction = match &scan.motion {
+        _ if scan.turns() => {
+            // A rotary table turns alike from each frame to the next.
+            let frames = match scan.motion {
+                Motion::Rotary { .. } => 2,
+                _ => scan.frames,
+            };
+            let poses = (0..frames).map(|frame| scene.part_from_head(frame));
+            return Anchor::Path(PathAnchor::new(view, poses));
+        }
+        Motion::Linear { step } if scan.moves == Moves::Head => *step,
+        Motion::Linear { step } => -*step,
+        // The farthest from the first: the last may be there again.
+        _ => (0..scan.frames)
+            .map(ways)
+            .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
+            .unwrap_or(DVec3::ZERO),
+    };
+    Anchor::Pose(PoseAnchor::new(view, first.inverse().rotation, direction))
 }
 
 /// The view of `point` (head's frame) on a surface across the beam; by default the
@@ -244,24 +296,60 @@ pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
     }
 }
 
+/// The true values of a scene's sensor.
+pub(super) fn perfect_calibration(scene: &Scene) -> Calibration {
+    let camera_from_laser = camera_from_laser(scene);
+    Calibration::perfect(
+        scene.camera.model(),
+        scene.head_from_camera,
+        camera_from_laser.translation,
+        camera_from_laser.rotation.y_axis,
+    )
+}
+
 fn camera_from_laser(scene: &Scene) -> Rigid {
     scene.head_from_camera.inverse() * scene.head_from_laser
 }
 
-/// The plan for a scene, with the head in the middle of its way.
+/// The plan for a scene: with the head in the middle of its way, and on a path that
+/// turns or wanders at nine places along it, since there the middle stands for no
+/// other.
 pub fn plan(scene: &Scene) -> Plan {
-    let laser_from_part =
-        (scene.part_from_head(scene.scan.frames / 2) * scene.head_from_laser).inverse();
+    let scan = &scene.scan;
     let corners = scene.mesh.bounds().corners();
+    let places = match scan.motion {
+        Motion::Linear { .. } => 1,
+        _ => 9,
+    };
+    let boxes: Vec<Aabb> = (1..=places)
+        .map(|i| {
+            let frame = (scan.frames as u64 * i / (places + 1)) as u32;
+            let laser_from_part = (scene.part_from_head(frame) * scene.head_from_laser).inverse();
+            Aabb::of(corners.map(|c| laser_from_part.point(c)))
+        })
+        .collect();
     Plan::new(
         &scene.laser,
         &scene.camera,
         &camera_from_laser(scene),
-        &Aabb::of(corners.map(|c| laser_from_part.point(c))),
+        &boxes,
+        exposure_motion(scene),
         scene.speckle.as_ref().map(|s| SpeckleOptics {
             per_pixel: matches!(s.method, Method::Prefiltered { .. }),
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
         }),
     )
+}
+
+/// How far the middle of the field goes over the part in one exposure.
+fn exposure_motion(scene: &Scene) -> Option<ExposureMotion> {
+    let half = scene.scan.exposure_share? / 2.0;
+    let middle = (scene.scan.frames / 2) as f64;
+    let point = surface_view(scene, None).point;
+    let at = |place| scene.part_from_head_at(place).point(point);
+    Some(ExposureMotion {
+        way: at(middle + half).distance(at(middle - half)),
+        poses: scene.scan.exposure_poses,
+    })
 }

@@ -23,7 +23,7 @@ pub struct Condition {
     pub speckle_px: f64,
 }
 
-pub const BLACK: f64 = 20.0;
+pub const BLACK: f64 = 64.0;
 pub const MAX_COUNT: u16 = 1023;
 /// Places of the line in its pixel that are tried.
 pub const PHASES: usize = 16;

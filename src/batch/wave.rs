@@ -9,6 +9,7 @@ use crate::inspect::picture::encode_for_eyes;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::scene::Scene;
+use crate::speckle::anchor::rotation_vector;
 use crate::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use crate::speckle::motion::{Motion, SurfaceView};
 use crate::speckle::pattern::Aperture;
@@ -101,10 +102,7 @@ pub fn wave_patch(
     let cases = [1.0, 2.0, 4.0].map(|steps| MotionCase {
         name: format!("{steps} steps of the scan"),
         view,
-        motion: Motion {
-            part: -scene.scan.step * steps,
-            ..Motion::default()
-        },
+        motion: steps_of_scan(scene, &view, frame, steps),
     });
     let sampling = WaveSampling {
         wavelength_mm: scene.laser.beam.wavelength,
@@ -136,6 +134,17 @@ pub fn wave_patch(
     files::write_bytes(&summary.pictures[0], &png)?;
     files::write_json(&out.join("wave.json"), &summary)?;
     Ok(summary)
+}
+
+/// The part's motion in the head's frame over some steps of the scan.
+fn steps_of_scan(scene: &Scene, view: &SurfaceView, frame: u32, steps: f64) -> Motion {
+    let after = scene.part_from_head_at(frame as f64 + steps);
+    let moved = after.inverse() * scene.part_from_head(frame);
+    Motion {
+        part: moved.point(view.point) - view.point,
+        rotation: rotation_vector(&moved.rotation),
+        ..Motion::default()
+    }
 }
 
 fn measured(

@@ -1,5 +1,6 @@
-//! Thin lens.
+//! Thin lens, perhaps a distorting one.
 
+use super::Distortion;
 use std::f64::consts::PI;
 
 /// Shape of the pupil; its width is the pupil diameter.
@@ -22,6 +23,7 @@ pub struct Lens {
     /// greater than the focal length.
     pub focus_distance: f64,
     pub aperture: Aperture,
+    pub distortion: Option<Distortion>,
 }
 
 impl Lens {

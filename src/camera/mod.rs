@@ -7,11 +7,15 @@
 //! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
 
 mod dark;
+mod distortion;
 mod lens;
+mod model;
 mod sensor;
 
 pub use dark::{DarkCounts, GROUP as DARK_GROUP};
+pub use distortion::Distortion;
 pub use lens::{Aperture, Lens};
+pub use model::CameraModel;
 pub use sensor::{Noise, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};
@@ -28,49 +32,51 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Sensor axes (columns, rows, normal) in the camera frame.
-    fn sensor_axes(&self) -> DMat3 {
-        DMat3::from_rotation_y(self.tilt.y) * DMat3::from_rotation_x(self.tilt.x)
-    }
-
-    fn center(&self) -> DVec2 {
-        self.sensor.resolution.as_dvec2() / 2.0
-    }
-
-    /// Where `pixel` (column, row) lies on the sensor, mm from its centre.
-    pub fn screen(&self, pixel: DVec2) -> DVec2 {
-        (pixel - self.center()) * self.sensor.pixel_pitch
-    }
-
-    /// Where `pixel` lies, on the sensor drawn in front of the lens.
-    pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
-        self.sensor_axes() * self.screen(pixel).extend(0.0) + DVec3::Z * self.lens.image_distance()
-    }
-
-    /// Unit direction in which `pixel` looks from the pupil centre.
-    pub fn direction(&self, pixel: DVec2) -> DVec3 {
-        self.sensor_point(pixel).normalize()
-    }
-
-    /// The pixel (column, row, not bounded to the sensor) that sees `point`;
-    /// `None` if it lies at or behind the lens, or so far off axis that its image
-    /// misses the sensor's plane.
-    pub fn project(&self, point: DVec3) -> Option<DVec2> {
-        let axes = self.sensor_axes();
-        let towards = axes.z_axis.dot(point);
-        let scale = self.lens.image_distance() * axes.z_axis.z / towards;
-        if point.z <= 0.0 || scale <= 0.0 || !scale.is_finite() {
-            return None;
+    /// Which pixel sees which direction.
+    pub fn model(&self) -> CameraModel {
+        CameraModel {
+            resolution: self.sensor.resolution,
+            pixel_pitch: self.sensor.pixel_pitch,
+            principal_distance: self.lens.image_distance(),
+            principal_point: self.sensor.resolution.as_dvec2() / 2.0,
+            tilt: self.tilt,
+            distortion: self.lens.distortion,
         }
-        let on_sensor = point * scale - DVec3::Z * self.lens.image_distance();
-        let on_sensor = DVec2::new(axes.x_axis.dot(on_sensor), axes.y_axis.dot(on_sensor));
-        Some(on_sensor / self.sensor.pixel_pitch + self.center())
+    }
+
+    fn sensor_axes(&self) -> DMat3 {
+        self.model().sensor_axes()
+    }
+
+    /// See [`CameraModel::screen`].
+    pub fn screen(&self, pixel: DVec2) -> DVec2 {
+        self.model().screen(pixel)
+    }
+
+    /// See [`CameraModel::sensor_point`].
+    pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
+        self.model().sensor_point(pixel)
+    }
+
+    /// See [`CameraModel::direction`].
+    pub fn direction(&self, pixel: DVec2) -> DVec3 {
+        self.model().direction(pixel)
+    }
+
+    /// See [`CameraModel::project`].
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        self.model().project(point)
     }
 
     /// Irradiance at `pixel` per radiance of what it sees, sr: the pupil's area
     /// times its cosine and the sensor's over the squared distance. On axis it is
     /// π/(4·N²·(1+m)²); the true value lies below that of a Lambertian source by
     /// less than 1/(4N²(1+m)²) of it (0.4 % at f/8).
+    ///
+    /// Distortion does not enter: radiance is the same before and behind the lens,
+    /// so irradiance is that times the angle under which the pixel sees the pupil
+    /// behind the lens, taken as a flat disc that stays where it is. The pupil seen
+    /// from the object then changes with the field as étendue demands.
     pub fn pupil_solid_angle(&self, pixel: DVec2) -> f64 {
         let to_sensor = self.sensor_point(pixel);
         let distance = to_sensor.length();
@@ -129,6 +135,7 @@ mod tests {
                 f_number: 8.0,
                 focus_distance: 240.0,
                 aperture: Aperture::Circle,
+                distortion: None,
             },
             sensor: Sensor {
                 resolution: UVec2::new(800, 600),

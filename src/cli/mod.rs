@@ -1,5 +1,6 @@
 //! The command line: one file a command.
 
+mod calibrate;
 mod check;
 mod peaks;
 mod render;
@@ -46,6 +47,8 @@ enum Command {
     Render(render::Arguments),
     /// Run the whole scan: point cloud, deviation from CAD, report
     Scan(scan::Arguments),
+    /// Calibrate camera and laser plane from simulated views of a target
+    Calibrate(calibrate::Arguments),
     /// Make a speckle pattern and hold its statistics against theory
     Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
@@ -115,7 +118,11 @@ impl Output {
             true => serde_json::to_string(value).expect("results are JSON"),
             false => text.trim_end().to_owned(),
         };
-        writeln!(std::io::stdout(), "{text}").map_err(Error::io("write to", "stdout".as_ref()))
+        match writeln!(std::io::stdout(), "{text}") {
+            // Who closes the pipe has read enough; what the files hold is whole.
+            Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+            result => result.map_err(Error::io("write to", "stdout".as_ref())),
+        }
     }
 }
 
@@ -132,7 +139,8 @@ pub fn run() -> u8 {
     match execute(cli) {
         Ok(()) => 0,
         Err(error) => {
-            eprintln!("lasertrace: {error}");
+            // A closed stderr must not hide the exit code.
+            let _ = writeln!(std::io::stderr(), "lasertrace: {error}");
             error.exit_code()
         }
     }
@@ -159,6 +167,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
+        Command::Calibrate(arguments) => calibrate::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),

@@ -2,10 +2,11 @@
 
 use crate::math::DVec3;
 use crate::profile::Flags;
+use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 
 /// One measured point.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CloudPoint {
     /// Part frame, mm.
     pub position: DVec3,

@@ -151,8 +151,9 @@ impl Frame<'_> {
             direction: DVec3::Z,
             t_max: f64::INFINITY,
         }; WIDTH];
+        let mut bend = DVec2::ZERO;
         for (i, ray) in rays[..count].iter_mut().enumerate() {
-            ray.direction = to_sensor(i).normalize();
+            ray.direction = self.sight.towards(to_sensor(i), &mut bend).normalize();
         }
         let near_sheet = |i: usize, t: f64| {
             let climb = self.across.dot(rays[i].direction);

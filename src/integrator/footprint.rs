@@ -8,7 +8,9 @@
 //! of Q is from that of P, the sample.
 
 use super::View;
+use super::bend::Bend;
 use super::blocks::Blocks;
+use super::polygon::{MOST_CORNERS, Polygon};
 use super::sight::{Image, Projection, Sight};
 use crate::accel::{Clusters, Found, HalfSpace};
 use crate::laser::{FanProfile, Laser};
@@ -40,12 +42,17 @@ fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margi
     let resolution = view.camera.sensor.resolution;
     let mut blocks = Blocks::none(resolution, view.samples_per_side);
     let projection = Projection::new(sight, resolution.as_dvec2());
-    let frustum = frustum(sight.eye, &projection, resolution.as_dvec2());
+    let bend = Bend::new(view.camera, sight, view.part_from_camera.rotation);
+    let frustum = match &bend {
+        None => frustum(sight.eye, &projection, resolution.as_dvec2()),
+        Some(bend) => bend.frustum(),
+    };
     let detail = detail(view, &projection);
     let mut marker = Marker {
         blocks: &mut blocks,
         samples_per_side: view.samples_per_side as f64,
         projection,
+        bend,
         margin,
     };
     let mut volume = Vec::new();
@@ -66,9 +73,9 @@ fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margi
                         polygon.cut(half);
                     }
                 }
-                marker.polygon(polygon.corners());
+                marker.seen_polygon(&polygon);
             }
-            Found::Ball { center, radius } => marker.ball(center, radius),
+            Found::Ball { center, radius } => marker.seen_ball(center, radius + margin),
         });
     }
     blocks
@@ -183,61 +190,6 @@ fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpac
     }
 }
 
-/// Most corners of a triangle cut by the at most ten planes above: each adds one.
-const MOST_CORNERS: usize = 16;
-
-/// A convex polygon in space.
-struct Polygon {
-    corners: [DVec3; MOST_CORNERS],
-    count: usize,
-}
-
-impl Polygon {
-    fn new(triangle: [DVec3; 3]) -> Polygon {
-        let mut corners = [DVec3::ZERO; MOST_CORNERS];
-        corners[..3].copy_from_slice(&triangle);
-        Polygon { corners, count: 3 }
-    }
-
-    fn corners(&self) -> &[DVec3] {
-        &self.corners[..self.count]
-    }
-
-    /// Keeps what is in the half-space (Sutherland & Hodgman 1974).
-    fn cut(&mut self, half: &HalfSpace) {
-        let mut heights = [0.0; MOST_CORNERS];
-        for (height, &corner) in heights.iter_mut().zip(self.corners()) {
-            *height = half.height(corner);
-        }
-        let outside = |i: usize| heights[i % self.count] < 0.0;
-        let changes = (0..self.count).filter(|&i| outside(i) != outside(i + 1));
-        match changes.count() {
-            0 if self.count == 0 || !outside(0) => return,
-            0 | 2 => {}
-            // All on the plane but for rounding: left whole, it is seen no less.
-            _ => return,
-        }
-        let all = std::mem::replace(self, Polygon { count: 0, ..*self });
-        let mut before = all.count.wrapping_sub(1);
-        for i in 0..all.count {
-            let (from, to) = (heights[before], heights[i]);
-            let (p, q) = (all.corners[before], all.corners[i]);
-            if (from < 0.0) != (to < 0.0) {
-                self.push(p + (q - p) * (from / (from - to)));
-            }
-            if to >= 0.0 {
-                self.push(q);
-            }
-            before = i;
-        }
-    }
-
-    fn push(&mut self, corner: DVec3) {
-        self.corners[self.count] = corner;
-        self.count += 1;
-    }
-}
-
 /// More than rounding moves an image by, pixels: 1e-8 in projecting; and on the
 /// edge of a polygon 1e-11 in row become 1e-3 in column where the edge rises by
 /// only [`LEVEL`] over the 65 536 columns of the largest sensor.
@@ -252,14 +204,88 @@ struct Marker<'a> {
     blocks: &'a mut Blocks,
     samples_per_side: f64,
     projection: Projection,
+    bend: Option<Bend>,
     /// How far what is seen may be from what is marked, mm.
     margin: f64,
 }
 
 impl Marker<'_> {
-    fn ball(&mut self, center: DVec3, radius: f64) {
+    /// What lies within `distance` of `center`.
+    fn seen_ball(&mut self, center: DVec3, distance: f64) {
+        let Some(bend) = &self.bend else {
+            return self.ball(center, distance);
+        };
+        match bend.normalised(center) {
+            Some((n, depth)) => self.ball(bend.bent(n), bend.spread(distance, depth)),
+            None => self.blocks.insert_all(),
+        }
+    }
+
+    /// What lies within the margin of a polygon.
+    fn seen_polygon(&mut self, polygon: &Polygon) {
+        let Some(bend) = &self.bend else {
+            return self.polygon(polygon.corners(), self.margin);
+        };
+        let mut flat = Polygon {
+            count: 0,
+            ..*polygon
+        };
+        let mut nearest = f64::INFINITY;
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for &corner in polygon.corners() {
+            let Some((n, depth)) = bend.normalised(corner) else {
+                return self.blocks.insert_all();
+            };
+            flat.push(n.extend(0.0));
+            (low, high) = (low.min(n), high.max(n));
+            nearest = nearest.min(depth);
+        }
+        if flat.count == 0 {
+            return;
+        }
+        // Cut across its length into pieces that sag by a quarter of a pixel, if
+        // their width allows: a choice of speed alone.
+        let middle = self.projection.image(bend.bent((low + high) / 2.0)).scale;
+        let pixel = 1.0 / self.projection.spread(1.0, middle.abs()).max_element();
+        let size = high - low;
+        let count = (bend.sag(size.max_element() / 2.0) / (pixel / 4.0)).sqrt();
+        let count = count.ceil().clamp(1.0, 64.0);
+        let along = match size.x > size.y {
+            true => DVec3::X,
+            false => DVec3::Y,
+        };
+        for i in 0..count as usize {
+            let end = |i: usize| (low + size * (i as f64 / count)).extend(0.0);
+            let mut piece = Polygon { ..flat };
+            if count > 1.0 {
+                piece.cut(&HalfSpace::new(end(i), along));
+                piece.cut(&HalfSpace::new(end(i + 1), -along));
+            }
+            self.piece(&mut piece, nearest);
+        }
+    }
+
+    /// Bends and marks a polygon of normalised coordinates whose corners are at
+    /// least `nearest` from the eye.
+    fn piece(&mut self, piece: &mut Polygon, nearest: f64) {
+        let bend = self.bend.as_ref().expect("only a distorting lens bends");
+        let corners = piece.corners();
+        let (low, high) = (
+            corners.iter().copied().fold(DVec3::INFINITY, DVec3::min),
+            corners
+                .iter()
+                .copied()
+                .fold(DVec3::NEG_INFINITY, DVec3::max),
+        );
+        let distance = bend.spread(self.margin, nearest) + bend.sag((high - low).length() / 2.0);
+        for corner in &mut piece.corners[..piece.count] {
+            *corner = bend.bent(corner.truncate());
+        }
+        self.polygon(piece.corners(), distance);
+    }
+
+    fn ball(&mut self, center: DVec3, distance: f64) {
         let Image { pixel, scale } = self.projection.image(center);
-        let distance = radius + self.margin;
         if scale > 0.0 {
             let spread = self.projection.spread(distance, scale) + ROUNDING;
             self.rectangle(pixel - spread, pixel + spread);
@@ -269,7 +295,7 @@ impl Marker<'_> {
         }
     }
 
-    fn polygon(&mut self, corners: &[DVec3]) {
+    fn polygon(&mut self, corners: &[DVec3], distance: f64) {
         if corners.is_empty() {
             return;
         }
@@ -282,9 +308,10 @@ impl Marker<'_> {
             (low, high) = (low.min(pixel), high.max(pixel));
             nearest = nearest.min(scale);
         }
-        let spread = self.projection.spread(self.margin, nearest) + ROUNDING;
+        let spread = self.projection.spread(distance, nearest) + ROUNDING;
         let finite = (low + high + spread).is_finite();
-        if nearest <= 0.0 || !finite {
+        let behind = distance * self.projection.scale.length();
+        if nearest <= behind || !finite {
             // Within the margin of the lens: cut to the camera's view, nothing
             // else is behind it.
             return self.blocks.insert_all();

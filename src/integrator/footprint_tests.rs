@@ -20,6 +20,7 @@ fn count(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> usize {
             f_number: 8.0,
             focus_distance: 240.0,
             aperture: crate::camera::Aperture::Circle,
+            distortion: None,
         },
         sensor: Sensor {
             resolution: UVec2::new(COLUMNS, ROWS),

@@ -1,10 +1,12 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
+mod bend;
 mod blocks;
 mod direct;
 mod footprint;
 mod geometric;
 pub mod plan;
+mod polygon;
 mod sight;
 mod truth;
 

@@ -53,6 +53,15 @@ pub struct SpeckleOptics {
     pub per_pixel: bool,
 }
 
+/// What the plan must know of the motion in one exposure.
+#[derive(Debug, Clone, Copy)]
+pub struct ExposureMotion {
+    /// Of the head over the part, mm.
+    pub way: f64,
+    /// Poses whose light is averaged.
+    pub poses: u32,
+}
+
 /// Relative error of speckle contrast that sampling may cause: what the law of
 /// centroid noise is good to.
 const CONTRAST_TOLERANCE: f64 = 0.03;
@@ -90,13 +99,14 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
 }
 
 impl Plan {
-    /// The plan for a part whose bounding box in the laser frame is
-    /// `part_in_laser` while the head is in the middle of its way.
+    /// The plan for a part whose bounding boxes in the laser frame, along the path
+    /// of the scan, are `part_in_laser`; `exposure` is `None` if the speed is unknown.
     pub fn new(
         laser: &Laser,
         camera: &Camera,
         camera_from_laser: &Rigid,
-        part_in_laser: &Aabb,
+        part_in_laser: &[Aabb],
+        exposure: Option<ExposureMotion>,
         speckle: Option<SpeckleOptics>,
     ) -> Plan {
         let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
@@ -121,11 +131,16 @@ impl Plan {
             laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
             effects: Vec::new(),
         };
-        plan.effects = plan.explain(speckle.as_ref(), sigma);
+        plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
         plan
     }
 
-    fn explain(&self, speckle: Option<&SpeckleOptics>, sigma: f64) -> Vec<Effect> {
+    fn explain(
+        &self,
+        speckle: Option<&SpeckleOptics>,
+        exposure: Option<ExposureMotion>,
+        sigma: f64,
+    ) -> Vec<Effect> {
         let n = self.samples_per_side;
         let effect = |effect, modelled, method: String, why: String| Effect {
             effect,
@@ -186,12 +201,31 @@ impl Plan {
                 "direct light only".into(),
                 "the surface is diffuse: interreflections are faint and wide".into(),
             ),
-            effect(
-                "motion during the exposure",
-                false,
-                "head at rest".into(),
-                format!("1 px is {:.1} µm along the beam", micrometres(1.0)),
-            ),
+            match exposure {
+                None => effect(
+                    "motion during the exposure",
+                    false,
+                    "head at rest".into(),
+                    format!(
+                        "no scan.frame_rate_hz is given; 1 px is {:.1} µm along the beam",
+                        micrometres(1.0)
+                    ),
+                ),
+                Some(ExposureMotion { way, poses }) => effect(
+                    "motion during the exposure",
+                    poses > 1,
+                    match poses {
+                        1 => "head at rest".into(),
+                        _ => format!("mean of {poses} poses"),
+                    },
+                    format!(
+                        "the head goes {:.2} µm over the part in one exposure; 1 px is {:.1} µm \
+                         along the beam",
+                        way * 1e3,
+                        micrometres(1.0)
+                    ),
+                ),
+            },
         ]
     }
 }
@@ -204,9 +238,14 @@ struct LineImage {
 }
 
 impl LineImage {
-    /// From 9 × 9 points of the laser plane within the part's box, those that the
-    /// sensor sees; from the box's middle if it sees none.
-    fn over(laser: &Laser, camera: &Camera, camera_from_laser: &Rigid, part: &Aabb) -> LineImage {
+    /// From 9 × 9 points of the laser plane within each of the part's boxes, those
+    /// that the sensor sees; from the first box's middle if it sees none.
+    fn over(
+        laser: &Laser,
+        camera: &Camera,
+        camera_from_laser: &Rigid,
+        parts: &[Aabb],
+    ) -> LineImage {
         let resolution = camera.sensor.resolution.as_dvec2();
         let seen = |p: DVec3| {
             let pixel = camera.project(camera_from_laser.point(p))?;
@@ -218,13 +257,15 @@ impl LineImage {
             defocus_blur_px: 0.0,
             px_per_mm: f64::INFINITY,
         };
-        let middle = part
+        let middle = parts[0]
             .center()
             .with_y(0.0)
             .max(DVec3::new(f64::MIN, 0.0, 1e-3));
-        let grid = (0..81).map(|i| {
-            let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
-            (part.min + part.size() * share).with_y(0.0)
+        let grid = parts.iter().flat_map(|part| {
+            (0..81).map(|i| {
+                let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
+                (part.min + part.size() * share).with_y(0.0)
+            })
         });
         let mut points: Vec<DVec3> = grid.filter(|&p| p.z > 0.0 && seen(p).is_some()).collect();
         if points.is_empty() {

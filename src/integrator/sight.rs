@@ -1,7 +1,7 @@
 //! The camera as the part sees it: where its pixels look, and which pixel looks
 //! at a point.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 
 /// The pupil centre and the sensor drawn in front of it, in the part's frame, mm.
@@ -16,6 +16,8 @@ pub(super) struct Sight {
     /// Numerator of the pupil's solid angle: area × cos·cos/r² is this × z/r⁴
     /// with r the distance to the sensor point and z that along the axis.
     pub pupil: f64,
+    /// The lens's distortion, and part_from_camera.
+    distortion: Option<(Distortion, DMat3)>,
 }
 
 impl Sight {
@@ -31,10 +33,29 @@ impl Sight {
             column,
             row,
             pupil: camera.lens.pupil_area() * normal.dot(origin),
+            distortion: camera
+                .lens
+                .distortion
+                .map(|d| (d, part_from_camera.rotation)),
         }
     }
 
-    /// From the eye to a place (column, row) on the sensor, mm.
+    /// From the eye towards what is seen at a place on the sensor, any length;
+    /// `bend` is how far the lens bends light, in normalised coordinates: a guess
+    /// (zero, or that of a place beside it) and then this place's.
+    pub fn towards(&self, to_sensor: DVec3, bend: &mut DVec2) -> DVec3 {
+        let Some((distortion, axes)) = &self.distortion else {
+            return to_sensor;
+        };
+        let behind = axes.transpose() * to_sensor;
+        let seen = behind.truncate() / behind.z;
+        let x = distortion.undistort(seen, seen + *bend);
+        *bend = x - seen;
+        *axes * x.extend(1.0)
+    }
+
+    /// From the eye to a place (column, row) on the sensor, mm; along the chief ray
+    /// behind the lens.
     pub fn to_sensor(&self, pixel: DVec2) -> DVec3 {
         self.origin + self.row * pixel.y + self.column * pixel.x
     }
@@ -109,6 +130,7 @@ mod tests {
                 f_number: 8.0,
                 focus_distance: 240.0,
                 aperture: crate::camera::Aperture::Circle,
+                distortion: None,
             },
             sensor: Sensor {
                 resolution: UVec2::new(800, 600),

@@ -55,9 +55,23 @@ pub(super) fn background(
     scratch.extend_from_slice(column);
     let middle = scratch.len() / 2;
     let median = *scratch.select_nth_unstable(middle).1;
-    scratch.iter_mut().for_each(|c| *c = c.abs_diff(median));
-    let deviation = *scratch.select_nth_unstable(middle).1;
-    let (mut mean, mut sigma) = (median as f64, 1.4826 * deviation as f64 + 1.0);
+    // Of normal noise that lies two deviations above zero 2.3 % is cut off.
+    let cut = 50 * column.iter().filter(|&&count| count == 0).count() > column.len();
+    let spread = match cut {
+        // One deviation above the median; all below may be zeros.
+        true => {
+            let upper = &mut scratch[middle..];
+            let place = (0.68 * upper.len() as f64) as usize;
+            (*upper.select_nth_unstable(place).1 - median) as f64
+        }
+        false => {
+            scratch.iter_mut().for_each(|c| *c = c.abs_diff(median));
+            1.4826 * *scratch.select_nth_unstable(middle).1 as f64
+        }
+    };
+    let (mut mean, mut sigma) = (median as f64, spread + 1.0);
+    // A halo about the line would draw the limits outwards without end.
+    let limit = 1.5 * sigma;
     let mut kept = 0;
     // Each round ends with other counts kept or is the last; ten are plenty.
     for _ in 0..10 {
@@ -71,10 +85,11 @@ pub(super) fn background(
         kept = n;
         mean = sum as f64 / n as f64;
         sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
+        sigma = sigma.min(limit);
     }
     let mut freedom = column.len() as f64;
-    if sigma > 0.0 && mean < 3.0 * sigma {
-        sigma = sigma.max(upper_deviation(column, median, sigma));
+    if cut && sigma > 0.0 {
+        sigma = sigma.max(upper_deviation(column, median, sigma)).min(limit);
         freedom /= ONE_SIDED_VARIANCE;
     }
     let noise = sigma.max(ROUNDING);

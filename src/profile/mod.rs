@@ -4,16 +4,22 @@
 //! `background` says what counts are noise, `find` which lines a frame holds and
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels.
 
+mod adjust;
 mod background;
+mod calibration;
+mod calibration_file;
 mod find;
 mod fit;
 mod locate;
+mod normal;
 mod peak;
-mod triangulate;
+mod residual_picture;
 
+pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
 pub use background::FALSE_PEAKS_PER_FRAME;
+pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use find::{
     CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, find_peaks,
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
-pub use triangulate::Calibration;
+pub use residual_picture::residual_picture;

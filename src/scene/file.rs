@@ -3,7 +3,7 @@
 
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// A laser-triangulation scan of one part. World frame right-handed,
 /// millimetres.
@@ -207,6 +207,8 @@ pub struct CameraTable {
     /// plane into focus.
     #[serde(default, deserialize_with = "array")]
     pub tilt_deg: [f64; 2],
+    /// Distortion of the lens. Default: none.
+    pub distortion: Option<DistortionTable>,
     pub exposure_ms: f64,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
@@ -223,6 +225,24 @@ pub struct CameraTable {
     pub read_noise_e: Option<f64>,
 }
 
+/// Brown–Conrady distortion, of coordinates divided by the distance along the
+/// axis, before the tilt of the sensor. Coefficients left out are 0.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DistortionTable {
+    /// Radial, with r². Negative: barrel.
+    pub k1: f64,
+    /// Radial, with r⁴.
+    pub k2: f64,
+    /// Radial, with r⁶.
+    pub k3: f64,
+    /// Tangential (decentring): moves images at radius r by p1·r² across the rows
+    /// and more.
+    pub p1: f64,
+    /// The same across the columns.
+    pub p2: f64,
+}
+
 #[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ApertureShape {
@@ -233,31 +253,77 @@ pub enum ApertureShape {
     Square,
 }
 
-/// A straight scan: in frame k the head's origin is at
-/// start_mm + k·step_mm·direction.
+/// The path of the scan: straight (`step_mm` and `direction`), or one of `rotary`
+/// and `poses`. In frame k the moving body stands at motion(k) · its pose at rest:
+/// the head at `start_mm`, unturned; the part at its position and rotation.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScanTable {
-    pub frames: u32,
-    pub step_mm: f64,
-    /// Direction of motion of the head in the world; any length.
-    #[serde(deserialize_with = "array")]
-    pub direction: [f64; 3],
-    /// Position of the head in frame 0. Default: the world's origin.
+    /// Number of frames; not with `poses`, whose lines say it.
+    pub frames: Option<u32>,
+    /// Which body moves; the other rests. Default: head.
+    #[serde(default)]
+    pub moves: Moves,
+    /// Way from one frame to the next.
+    pub step_mm: Option<f64>,
+    /// Direction of motion in the world; any length.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub direction: Option<[f64; 3]>,
+    /// Position of the head at rest. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
+    pub rotary: Option<RotaryTable>,
+    /// CSV file of one pose a frame, relative to the scene file: a header line
+    /// `x_mm,y_mm,z_mm` and then `rx_deg,ry_deg,rz_deg` (as part.rotation_deg) or
+    /// `qw,qx,qy,qz`; then one line of numbers a frame.
+    pub poses: Option<String>,
+    /// Frames a second: says how far the path goes in one exposure.
+    pub frame_rate_hz: Option<f64>,
+    /// Poses within one exposure, evenly spread about that of the frame, whose
+    /// light is averaged, 1 to 64. Default: 1, at rest during the exposure.
+    #[serde(default = "one_pose")]
+    pub exposure_poses: u32,
 }
 
-/// How the laser line is found in the image. Default: by centroid.
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Moves {
+    #[default]
+    Head,
+    Part,
+}
+
+/// A rotary table: turns about an axis of the world, right-handed.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+pub struct RotaryTable {
+    /// A point on the axis.
+    #[serde(deserialize_with = "array")]
+    pub axis_point_mm: [f64; 3],
+    /// Any length.
+    #[serde(deserialize_with = "array")]
+    pub axis_direction: [f64; 3],
+    /// Turn from one frame to the next.
+    pub step_deg: f64,
+    /// Turn in frame 0. Default: 0.
+    #[serde(default)]
+    pub start_deg: f64,
+}
+
+/// How points are measured in the images.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct MeasureTable {
     /// How the line's row is found to a fraction of a pixel. Default: centroid.
-    #[serde(default)]
     pub peak: PeakFinder,
     /// Which line of a column with several is taken. Default: strongest.
-    #[serde(default)]
     pub choose: Choice,
+    /// A calibration.json, as `lasertrace calibrate` writes it; path relative to the
+    /// scene file. Default: the true values of camera and laser plane.
+    pub calibration: Option<String>,
+    /// Bring the cloud onto the CAD by a best fit before deviations are taken.
+    /// Default: false.
+    pub align: bool,
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.
@@ -274,11 +340,23 @@ where
         .map_err(|_| serde::de::Error::invalid_length(length, &expected.as_str()))
 }
 
+fn optional_array<'de, D, T, const N: usize>(deserializer: D) -> Result<Option<[T; N]>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    array(deserializer).map(Some)
+}
+
 fn one() -> f64 {
     1.0
 }
 
 fn one_pattern() -> u32 {
+    1
+}
+
+fn one_pose() -> u32 {
     1
 }
 

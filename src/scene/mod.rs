@@ -3,7 +3,10 @@
 mod file;
 mod locate;
 mod optics;
+mod path;
+mod poses;
 mod resolve;
 
-pub use file::{SceneFile, schema};
-pub use resolve::{LinearScan, Measure, Scene, SpeckleModel};
+pub use file::{Moves, SceneFile, schema};
+pub use path::{Motion, ScanPath};
+pub use resolve::{Measure, Scene, SpeckleModel};

@@ -1,8 +1,10 @@
 //! Laser, camera and speckle of a scene file, validated.
 
-use super::file::{ApertureShape, CameraTable, LaserTable, ProfileName, SceneFile, SpeckleMethod};
+use super::file::{
+    ApertureShape, CameraTable, DistortionTable, LaserTable, ProfileName, SceneFile, SpeckleMethod,
+};
 use super::resolve::{Resolver, SpeckleModel};
-use crate::camera::{Aperture, Camera, Lens, Noise, Sensor};
+use crate::camera::{Aperture, Camera, Distortion, Lens, Noise, Sensor};
 use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{DVec2, DVec3, Rigid};
@@ -137,6 +139,7 @@ impl Resolver<'_> {
                 ApertureShape::Ellipse(ratio) => Aperture::Ellipse(ratio),
                 ApertureShape::Square => Aperture::Square,
             },
+            distortion: None,
         };
         if let Aperture::Ellipse(ratio) = lens.aperture {
             // Narrower, a pattern holds too few phasors to be fully developed.
@@ -158,21 +161,20 @@ impl Resolver<'_> {
             "camera.tilt_deg",
             "angles from -80 to 80",
         )?;
-        let camera = Camera {
+        let mut camera = Camera {
             lens,
             sensor,
             tilt: DVec2::from(tilt).map(f64::to_radians),
         };
-        // A tilted sensor must stay in front of the lens it is drawn before.
-        let [columns, rows] = table.resolution_px;
-        let corners = [[0, 0], [columns, 0], [0, rows], [columns, rows]];
-        self.check(
-            corners
-                .iter()
-                .all(|&c| camera.sensor_point(UVec2::from(c).as_dvec2()).z > 0.0),
-            "camera.tilt_deg",
-            "a tilt at which the sensor's corners stay behind the lens",
-        )?;
+        let Some(reach) = camera.model().reach() else {
+            let expected = "a tilt at which the sensor's corners stay behind the lens";
+            return Err(self.source.wrong("camera.tilt_deg", expected));
+        };
+        if let Some(DistortionTable { k1, k2, k3, p1, p2 }) = table.distortion {
+            let distortion = Distortion::new([k1, k2, k3], [p1, p2], reach)
+                .map_err(|expected| self.source.wrong("camera.distortion", &expected))?;
+            camera.lens.distortion = Some(distortion);
+        }
         Ok(camera)
     }
 

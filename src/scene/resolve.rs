@@ -2,26 +2,18 @@
 
 use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
+use super::path::ScanPath;
 use crate::camera::Camera;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
 use crate::mesh::{self, Mesh, shapes};
-use crate::profile::{Choice, PeakFinder};
+use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-
-/// Positions of the scan head along a straight line, turned nowhere.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct LinearScan {
-    pub start: DVec3,
-    /// From one frame to the next.
-    pub step: DVec3,
-    pub frames: u32,
-}
 
 /// How speckle is modelled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -36,13 +28,15 @@ pub struct SpeckleModel {
 pub struct Measure {
     pub finder: PeakFinder,
     pub choice: Choice,
+    /// Best fit of the cloud to the CAD before deviations are taken.
+    pub align: bool,
 }
 
 /// A validated scene: the world at rest and the head's way through it.
 #[derive(serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
-    /// SHA-256 of the scene file and of the mesh file it names, hexadecimal.
+    /// SHA-256 of the scene file and of the files it names, hexadecimal.
     pub hash: String,
     pub seed: u64,
     /// `None`: laser light is taken as incoherent.
@@ -51,13 +45,16 @@ pub struct Scene {
     #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
-    pub world_from_part: Rigid,
+    /// Where the part is unless the path moves it.
+    pub part_at_rest: Rigid,
     pub laser: Laser,
     pub head_from_laser: Rigid,
     pub camera: Camera,
     pub head_from_camera: Rigid,
-    pub scan: LinearScan,
     pub measure: Measure,
+    pub scan: ScanPath,
+    /// What the measurement takes the sensor for; `None`: what it is.
+    pub calibration: Option<Calibration>,
 }
 
 impl Scene {
@@ -69,18 +66,30 @@ impl Scene {
         Resolver { source, path }.scene(file)
     }
 
+    /// Pose of the head in a frame.
     pub fn world_from_head(&self, frame: u32) -> Rigid {
-        Rigid::translation(self.scan.start + self.scan.step * frame as f64)
+        self.scan.world_from_head(frame as f64)
+    }
+
+    /// Pose of the part in a frame.
+    pub fn world_from_part(&self, frame: u32) -> Rigid {
+        self.scan.world_from_part(frame as f64, &self.part_at_rest)
     }
 
     pub fn part_from_head(&self, frame: u32) -> Rigid {
-        self.world_from_part.inverse() * self.world_from_head(frame)
+        self.part_from_head_at(frame as f64)
+    }
+
+    /// The same between frames, and beyond the ends as the path goes on.
+    pub fn part_from_head_at(&self, place: f64) -> Rigid {
+        let part = self.scan.world_from_part(place, &self.part_at_rest);
+        part.inverse() * self.scan.world_from_head(place)
     }
 }
 
 pub(super) struct Resolver<'a> {
     pub(super) source: Source,
-    path: &'a Path,
+    pub(super) path: &'a Path,
 }
 
 impl Resolver<'_> {
@@ -133,13 +142,14 @@ impl Resolver<'_> {
         let laser = self.laser(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
-        let direction = self.direction(file.scan.direction, "scan.direction")?;
-        let [step] = self.lengths([file.scan.step_mm], "scan.step_mm")?;
-        self.check(file.scan.frames > 0, "scan.frames", "at least 1")?;
+        let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
         let speckle = self.speckle(&file, &laser, &camera)?;
+        let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
+        hash.update(poses_hash);
+        hash.update(calibration_hash);
         Ok(Scene {
             path: self.path.to_owned(),
             hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
@@ -148,21 +158,50 @@ impl Resolver<'_> {
             write_frames: file.write_frames,
             mesh,
             surface: Lambert { reflectance },
-            world_from_part: Rigid::from_euler_xyz(rotation, position.into()),
+            part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
             laser,
             head_from_laser,
             camera,
             head_from_camera,
-            scan: LinearScan {
-                start: self.lengths(file.scan.start_mm, "scan.start_mm")?.into(),
-                step: direction * step,
-                frames: file.scan.frames,
-            },
             measure: Measure {
                 finder: file.measure.peak,
                 choice: file.measure.choose,
+                align: file.measure.align,
             },
+            scan,
+            calibration,
         })
+    }
+
+    /// The calibration that the scene names, and the bytes that stand for it in the
+    /// hash.
+    fn calibration(
+        &self,
+        file: &SceneFile,
+        camera: &Camera,
+    ) -> Result<(Option<Calibration>, Vec<u8>)> {
+        let Some(name) = &file.measure.calibration else {
+            return Ok((None, Vec::new()));
+        };
+        let path = self.beside(name);
+        if !path.is_file() {
+            let expected = format!("a calibration; there is none at {}", path.display());
+            return Err(self.source.wrong("measure.calibration", &expected));
+        }
+        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let calibration = Calibration::parse(&path, &bytes)?;
+        let [columns, rows] = camera.sensor.resolution.to_array();
+        self.check(
+            calibration.camera.resolution == camera.sensor.resolution,
+            "measure.calibration",
+            &format!("a calibration of a sensor of {columns} × {rows} pixels"),
+        )?;
+        Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
+    }
+
+    /// A path relative to the scene file.
+    fn beside(&self, name: &str) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("")).join(name)
     }
 
     /// The part's mesh, and the bytes that stand for a mesh file in the hash.
@@ -184,8 +223,7 @@ impl Resolver<'_> {
             Err(expected) => Err(self.source.wrong(key, &expected)),
         };
         if let Some(table) = &part.mesh {
-            let folder = self.path.parent().unwrap_or(Path::new(""));
-            let file = folder.join(&table.file);
+            let file = self.beside(&table.file);
             if !file.exists() {
                 let expected = format!("a mesh file; there is none at {}", file.display());
                 return Err(self.source.wrong("part.mesh.file", &expected));

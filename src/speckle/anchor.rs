@@ -105,7 +105,7 @@ impl PoseAnchor {
 }
 
 /// log of a rotation: axis times angle, the angle in [0, π].
-fn rotation_vector(rotation: &DMat3) -> DVec3 {
+pub fn rotation_vector(rotation: &DMat3) -> DVec3 {
     let q = DQuat::from_mat3(rotation);
     (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
 }

@@ -3,7 +3,7 @@
 //! `pattern` makes one pattern, `slices` a closed ring of correlated ones,
 //! `texture` stores them, `lookup` reads them at a `coordinate`; `theory` has
 //! the closed forms. `motion` says where to read as laser, part and camera
-//! move, `anchor` does so for a scan. `wave*` is the slow wave-optics
+//! move, `anchor` does so for a scan, `path` for one that turns. `wave*` is the slow wave-optics
 //! reference that all of it is measured against.
 
 pub mod anchor;
@@ -11,6 +11,7 @@ pub mod coordinate;
 mod fixed;
 pub mod lookup;
 pub mod motion;
+pub mod path;
 pub mod pattern;
 mod slice_statistics;
 pub mod slices;

@@ -1,0 +1,389 @@
+//! The journal of a scan, `frames.journal`: the finished frames in their order,
+//! each with its points and the checksums of its files, so that a run that was
+//! killed can go on and one that is whole can be checked.
+//!
+//! ```text
+//! file    header, frame, frame, …
+//! each    length of the content (u32), SHA-256 of the content, content
+//! header  what the bytes depend on, as JSON
+//! frame   postcard of `FrameRecord`, in full precision
+//! ```
+//!
+//! What a kill or a full disk left of a record, or a flipped bit made of it, does
+//! not match its checksum, and the journal ends before it. The file is locked while
+//! a run writes; the system drops the lock of a process that dies.
+
+use crate::error::{Error, Result};
+use crate::inspect::cloud::CloudPoint;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs::{File, TryLockError};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+pub type Checksum = [u8; 32];
+
+pub fn checksum(bytes: &[u8]) -> Checksum {
+    Sha256::digest(bytes).into()
+}
+
+/// Everything the bytes of a run depend on. The scene's hash is that of its file
+/// and of the files it names; threads and coverage change no byte.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunKey {
+    pub version: String,
+    pub embree: String,
+    pub scene_sha256: String,
+    pub seed: u64,
+    pub frames: Range<u32>,
+}
+
+impl RunKey {
+    /// What differs, in the user's words.
+    fn difference(&self, old: &RunKey) -> Option<String> {
+        let differ = |what: &str, old: &dyn std::fmt::Debug, new: &dyn std::fmt::Debug| {
+            Some(format!("{what} was {old:?} and is {new:?}"))
+        };
+        match () {
+            () if old.version != self.version => differ("version", &old.version, &self.version),
+            () if old.embree != self.embree => {
+                differ("Embree's version", &old.embree, &self.embree)
+            }
+            () if old.scene_sha256 != self.scene_sha256 => {
+                Some("the scene or a file it names has changed".into())
+            }
+            () if old.seed != self.seed => differ("seed", &old.seed, &self.seed),
+            () if old.frames != self.frames => differ("frames", &old.frames, &self.frames),
+            () => None,
+        }
+    }
+}
+
+/// A finished frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    pub frame: u32,
+    /// Of the frame's files, in the order in which the scan names them.
+    pub files: Vec<Checksum>,
+    pub points: Vec<CloudPoint>,
+}
+
+pub struct Journal {
+    file: File,
+    path: PathBuf,
+    synced: Instant,
+}
+
+/// Time after which frames are safe from a loss of power.
+const SYNC: Duration = Duration::from_secs(10);
+
+impl Journal {
+    /// Opens the journal in `out` for one run alone, and with `resume` gives the
+    /// checksums of the frames that are in it, in their order; else it starts anew.
+    ///
+    /// Errors: another run writes there; with `resume`, frames of another scene,
+    /// seed, range or version.
+    pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, Vec<Vec<Checksum>>)> {
+        let path = out.join("frames.journal");
+        let file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(Error::io("open", &path))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(Error::Busy(out.to_owned())),
+            // Some network file systems have no locks.
+            Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
+            Err(TryLockError::Error(e)) => return Err(Error::io("lock", &path)(e)),
+        }
+        let mut journal = Journal {
+            file,
+            path,
+            synced: Instant::now(),
+        };
+        let mut kept = Vec::new();
+        let mut end = 0;
+        if resume {
+            end = journal.check(key, &mut kept)?;
+        }
+        let cut = |file: &mut File| {
+            // A device in the file's place has no length.
+            if file.metadata()?.is_file() {
+                file.set_len(end)?;
+            }
+            file.seek(SeekFrom::Start(end)).map(drop)
+        };
+        cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;
+        if end == 0 {
+            let header = serde_json::to_vec(key).expect("a key is JSON");
+            journal.write(&framed(&header))?;
+        }
+        Ok((journal, kept))
+    }
+
+    /// Reads what there is of the run; how many bytes of the file are of use.
+    fn check(&self, key: &RunKey, kept: &mut Vec<Vec<Checksum>>) -> Result<u64> {
+        let failed = || Error::io("read", &self.path);
+        let mut reader = self.reader().map_err(failed())?;
+        let header = reader.next().map_err(failed())?;
+        let Some(old) = header.and_then(|h| serde_json::from_slice::<RunKey>(&h).ok()) else {
+            return Ok(0);
+        };
+        if let Some(difference) = key.difference(&old) {
+            return Err(Error::Usage(format!(
+                "--resume: {} is of another run: {difference}; without --resume the scan \
+                 starts anew and replaces it",
+                self.path.display()
+            )));
+        }
+        let mut end = reader.at;
+        while let Some(content) = reader.next().map_err(failed())? {
+            let record = postcard::from_bytes::<FrameRecord>(&content);
+            let expected = key.frames.start as u64 + kept.len() as u64;
+            match record {
+                Ok(record)
+                    if record.frame as u64 == expected && expected < key.frames.end as u64 =>
+                {
+                    kept.push(record.files)
+                }
+                _ => break,
+            }
+            end = reader.at;
+        }
+        Ok(end)
+    }
+
+    fn reader(&self) -> io::Result<Reader<'_>> {
+        let mut file = &self.file;
+        file.seek(SeekFrom::Start(0))?;
+        Ok(Reader {
+            file: BufReader::with_capacity(1 << 18, file),
+            at: 0,
+            left: file.metadata()?.len(),
+        })
+    }
+
+    /// Adds the next frames in order; nothing may be added after [`Self::points`].
+    pub fn append(&mut self, records: &[FrameRecord]) -> Result<()> {
+        let mut bytes = Vec::new();
+        for record in records {
+            let content = postcard::to_allocvec(record).expect("a record has a length");
+            bytes.extend(framed(&content));
+        }
+        self.write(&bytes)?;
+        if self.synced.elapsed() > SYNC {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file
+            .write_all(bytes)
+            .map_err(Error::io("write", &self.path))
+    }
+
+    /// Waits until what was appended is on the disk.
+    pub fn sync(&mut self) -> Result<()> {
+        self.synced = Instant::now();
+        self.file
+            .sync_data()
+            .map_err(Error::io("write", &self.path))
+    }
+
+    /// The points of all frames in the journal, frame by frame.
+    pub fn points(&self) -> Result<Vec<Vec<CloudPoint>>> {
+        let read = || -> io::Result<_> {
+            let mut reader = self.reader()?;
+            let mut points = Vec::new();
+            reader.next()?;
+            while let Some(content) = reader.next()? {
+                let record = postcard::from_bytes::<FrameRecord>(&content);
+                points.push(record.map_err(io::Error::other)?.points);
+            }
+            Ok(points)
+        };
+        read().map_err(Error::io("read", &self.path))
+    }
+}
+
+/// Content as it stands in the file.
+fn framed(content: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(content.len()).expect("a frame has no 4 GB of points");
+    let mut bytes = length.to_le_bytes().to_vec();
+    bytes.extend(checksum(content));
+    bytes.extend(content);
+    bytes
+}
+
+struct Reader<'a> {
+    file: BufReader<&'a File>,
+    at: u64,
+    left: u64,
+}
+
+impl Reader<'_> {
+    /// The next content; `None` where the file ends or is damaged.
+    fn next(&mut self) -> io::Result<Option<Vec<u8>>> {
+        const HEAD: usize = 4 + 32;
+        if self.left < HEAD as u64 {
+            return Ok(None);
+        }
+        let mut head = [0; HEAD];
+        self.file.read_exact(&mut head)?;
+        let (length, sum) = head.split_at(4);
+        let length = u32::from_le_bytes(length.try_into().expect("four bytes")) as u64;
+        // A damaged length must not ask for more than there is.
+        if length > self.left - HEAD as u64 {
+            return Ok(None);
+        }
+        let mut content = vec![0; length as usize];
+        self.file.read_exact(&mut content)?;
+        if checksum(&content) != sum {
+            return Ok(None);
+        }
+        self.at += HEAD as u64 + length;
+        self.left -= HEAD as u64 + length;
+        Ok(Some(content))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use std::fs;
+
+    fn key() -> RunKey {
+        RunKey {
+            version: "1".into(),
+            embree: "4".into(),
+            scene_sha256: "ab".into(),
+            seed: 7,
+            frames: 3..8,
+        }
+    }
+
+    fn record(frame: u32) -> FrameRecord {
+        let point = CloudPoint {
+            position: DVec3::new(1.0 / 3.0, 1e-300, -7.0),
+            deviation: 0.1,
+            intensity: 200.5,
+            frame,
+            column: 9,
+            flags: crate::profile::Flags::EDGE,
+        };
+        FrameRecord {
+            frame,
+            files: vec![checksum(&frame.to_le_bytes())],
+            points: vec![point; frame as usize],
+        }
+    }
+
+    /// A journal of frames 3, 4 and 5, and its bytes.
+    fn written(out: &Path) -> Vec<u8> {
+        let (mut journal, kept) = Journal::open(out, &key(), false).unwrap();
+        assert!(kept.is_empty());
+        journal.append(&[record(3), record(4)]).unwrap();
+        journal.append(&[record(5)]).unwrap();
+        fs::read(out.join("frames.journal")).unwrap()
+    }
+
+    #[test]
+    fn what_was_written_is_read_to_the_bit_and_continued() {
+        let folder = tempfile::tempdir().unwrap();
+        written(folder.path());
+        let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+        assert_eq!(kept, [3, 4, 5].map(|f| record(f).files));
+        journal.append(&[record(6)]).unwrap();
+        assert_eq!(
+            journal.points().unwrap(),
+            [3, 4, 5, 6].map(|f| record(f).points)
+        );
+    }
+
+    /// Whatever byte is lost or flipped, only whole frames before it are kept.
+    #[test]
+    fn no_damaged_record_is_ever_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frames.journal");
+        let whole = written(folder.path());
+        let open = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            let (journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+            drop(journal);
+            assert!(kept.len() < 3 || bytes.starts_with(&whole));
+            for (i, files) in kept.iter().enumerate() {
+                assert_eq!(*files, record(3 + i as u32).files);
+            }
+            // What is left is a journal that can be continued.
+            let left = fs::read(&path).unwrap();
+            assert!(whole.starts_with(&left));
+            kept.len()
+        };
+        let mut lengths = Vec::new();
+        for length in 0..whole.len() {
+            lengths.push(open(&whole[..length]));
+            let mut flipped = whole.clone();
+            flipped[length] ^= 1 << (length % 8);
+            open(&flipped);
+        }
+        assert!(
+            lengths.is_sorted() && lengths[whole.len() - 1] == 2,
+            "{lengths:?}"
+        );
+        assert_eq!(open(&[&whole[..], b"more"].concat()), 3);
+    }
+
+    #[test]
+    fn a_journal_of_another_run_is_refused_and_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = written(folder.path());
+        let other = |change: fn(&mut RunKey)| {
+            let mut key = key();
+            change(&mut key);
+            let error = Journal::open(folder.path(), &key, true).err().unwrap();
+            assert_eq!(error.exit_code(), 64);
+            error.to_string()
+        };
+        for (message, words) in [
+            (
+                other(|k| k.version = "2".into()),
+                "version was \"1\" and is \"2\"",
+            ),
+            (
+                other(|k| k.embree = "3".into()),
+                "Embree's version was \"4\"",
+            ),
+            (
+                other(|k| k.scene_sha256 = "cd".into()),
+                "the scene or a file it names has changed",
+            ),
+            (other(|k| k.seed = 8), "seed was 7 and is 8"),
+            (other(|k| k.frames = 3..9), "frames was 3..8 and is 3..9"),
+        ] {
+            assert!(message.contains(words), "{message}");
+            assert!(message.contains("without --resume"), "{message}");
+        }
+        let left = fs::read(folder.path().join("frames.journal")).unwrap();
+        assert_eq!(left, whole, "a refusal changes nothing");
+    }
+
+    #[test]
+    fn a_second_run_is_refused_until_the_first_is_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = Journal::open(folder.path(), &key(), false).unwrap();
+        for resume in [false, true] {
+            let error = Journal::open(folder.path(), &key(), resume).err().unwrap();
+            assert_eq!(error.exit_code(), 75);
+            assert!(error.to_string().contains("another run"), "{error}");
+        }
+        drop(first);
+        assert!(Journal::open(folder.path(), &key(), true).is_ok());
+    }
+}

@@ -1,0 +1,338 @@
+//! Lens distortion after Brown (1966) and Conrady (1919).
+
+use crate::math::DVec2;
+use glam::DMat2;
+
+/// Where a lens images a direction, in normalised coordinates (x, y) = (X/Z, Y/Z)
+/// of the camera frame:
+///
+/// ```text
+/// x′ = x·(1 + k₁r² + k₂r⁴ + k₃r⁶) + 2p₁xy + p₂(r² + 2x²),   r² = x² + y²
+/// y′ = y·(1 + k₁r² + k₂r⁴ + k₃r⁶) + p₁(r² + 2y²) + 2p₂xy
+/// ```
+///
+/// (x′, y′, 1) is the chief ray behind the lens. A tilted sensor cuts these rays:
+/// distortion belongs to the lens and its axis, so it comes before the tilt, and
+/// does not change when the sensor is tilted.
+///
+/// The Jacobian of the map is symmetric. Where its eigenvalues are positive all
+/// over a disc about the axis, the map is one to one on it.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Distortion {
+    /// k₁, k₂, k₃.
+    pub radial: [f64; 3],
+    /// p₁, p₂.
+    pub tangential: [f64; 2],
+    /// Radius r of the disc on which the map is used and is one to one.
+    #[serde(skip)]
+    radius: f64,
+    /// A bound: no eigenvalue of the Jacobian on the disc is smaller.
+    #[serde(skip)]
+    least_stretch: f64,
+}
+
+/// Eigenvalues of the Jacobian below this count as a fold: the lens would show a
+/// tenth of what it shows on its axis.
+const FOLD: f64 = 0.1;
+/// Steps from the axis to the farthest corner in which the Jacobian is bounded.
+const STEPS: f64 = 256.0;
+/// Share of the radius that is kept beyond the sensor, if there is no fold in it:
+/// points just off the sensor have an image too.
+const BEYOND: f64 = 0.2;
+
+impl Distortion {
+    /// For a sensor that reaches to the distorted radius `reach`. Errors, as what
+    /// was expected: a map that folds before it reaches there.
+    pub fn new(radial: [f64; 3], tangential: [f64; 2], reach: f64) -> Result<Distortion, String> {
+        let mut lens = Distortion::unchecked(radial, tangential);
+        let folds = |r: f64| {
+            Err(format!(
+                "a distortion that does not fold within the sensor, whose corner is at radius \
+                 {reach:.4} of the normalised image; this folds, or nearly, at {r:.4}"
+            ))
+        };
+        let step = reach / STEPS;
+        lens.radius = 0.0;
+        // The image of the circle of radius r encloses the disc of this radius.
+        let map = lens;
+        let encloses = |r: f64| r * map.scale(r * r) - 3.0 * map.decentring().length() * r * r;
+        let mut sensor = f64::INFINITY;
+        while lens.radius < (1.0 + BEYOND) * sensor {
+            let next = lens.radius + step;
+            let stretch = lens.stretch_from(lens.radius, next);
+            // Written so that NaN folds.
+            if !(stretch >= FOLD) {
+                if sensor.is_finite() {
+                    break;
+                }
+                return folds(lens.radius);
+            }
+            lens.least_stretch = lens.least_stretch.min(stretch);
+            lens.radius = next;
+            if sensor == f64::INFINITY && encloses(next) >= reach {
+                sensor = next;
+            }
+        }
+        let inverts = |i: usize| {
+            let (ring, turn) = ((i / 64 + 1) as f64 / 8.0, (i % 64) as f64 / 64.0);
+            let seen = DVec2::from_angle(turn * std::f64::consts::TAU) * (reach * ring);
+            let x = lens.undistort(seen, seen);
+            x.length() <= lens.radius && (lens.distort(x) - seen).length() < 1e-12
+        };
+        match (0..8 * 64).all(inverts) {
+            true => Ok(lens),
+            false => folds(lens.radius),
+        }
+    }
+
+    /// One that is used everywhere, fold or not: a guess while it is fitted.
+    pub fn unchecked(radial: [f64; 3], tangential: [f64; 2]) -> Distortion {
+        Distortion {
+            radial,
+            tangential,
+            radius: f64::INFINITY,
+            least_stretch: 1.0,
+        }
+    }
+
+    /// See [`Self::radius`].
+    pub fn covers(&self, x: DVec2) -> bool {
+        x.length_squared() <= self.radius * self.radius
+    }
+
+    /// (p₂, p₁): with it the tangential part is r²·q + 2·(q·x)·x.
+    fn decentring(&self) -> DVec2 {
+        DVec2::new(self.tangential[1], self.tangential[0])
+    }
+
+    /// 1 + k₁s + k₂s² + k₃s³.
+    fn scale(&self, s: f64) -> f64 {
+        let [k1, k2, k3] = self.radial;
+        1.0 + s * (k1 + s * (k2 + s * k3))
+    }
+
+    /// The derivative of the scale by s = r².
+    fn slope(&self, s: f64) -> f64 {
+        let [k1, k2, k3] = self.radial;
+        k1 + s * (2.0 * k2 + s * 3.0 * k3)
+    }
+
+    /// (x′, y′).
+    pub fn distort(&self, x: DVec2) -> DVec2 {
+        let (s, q) = (x.length_squared(), self.decentring());
+        x * (self.scale(s) + 2.0 * q.dot(x)) + q * s
+    }
+
+    /// ∂(x′, y′)/∂(x, y).
+    pub fn jacobian(&self, x: DVec2) -> DMat2 {
+        let (s, q) = (x.length_squared(), self.decentring());
+        let outer = x * (2.0 * self.slope(s)) + q * 2.0;
+        let even = self.scale(s) + 2.0 * q.dot(x);
+        DMat2::from_cols(
+            outer * x.x + x * (2.0 * q.x) + DVec2::X * even,
+            outer * x.y + x * (2.0 * q.y) + DVec2::Y * even,
+        )
+    }
+
+    /// ∂(x′, y′)/∂(k₁, k₂, k₃, p₁, p₂).
+    pub fn by_coefficients(&self, x: DVec2) -> [DVec2; 5] {
+        let s = x.length_squared();
+        let cross = 2.0 * x.x * x.y;
+        [
+            x * s,
+            x * (s * s),
+            x * (s * s * s),
+            DVec2::new(cross, s + 2.0 * x.y * x.y),
+            DVec2::new(s + 2.0 * x.x * x.x, cross),
+        ]
+    }
+
+    /// The direction (x, y) that is imaged at `seen`, by Newton's method from
+    /// `guess`, halving steps that do not bring it nearer. To rounding for what
+    /// the sensor sees; elsewhere where it ends.
+    pub fn undistort(&self, seen: DVec2, guess: DVec2) -> DVec2 {
+        let mut x = guess;
+        let mut miss = seen - self.distort(x);
+        for _ in 0..50 {
+            let step = self.jacobian(x).inverse() * miss;
+            // The next step would be of the order of its square.
+            if step.length_squared() < 1e-18 {
+                return x + step;
+            }
+            let mut share = 1.0;
+            loop {
+                let next = x + step * share;
+                let left = seen - self.distort(next);
+                if left.length_squared() < miss.length_squared() || share < 1e-3 {
+                    (x, miss) = (next, left);
+                    break;
+                }
+                share /= 2.0;
+            }
+        }
+        x
+    }
+
+    /// No eigenvalue of the Jacobian is smaller for radii from `a` to `b`. Those of
+    /// the radial part are the scale and d(r·scale)/dr, those of the tangential
+    /// part at least -6·|p|·r.
+    fn stretch_from(&self, a: f64, b: f64) -> f64 {
+        let (a2, b2) = (a * a, b * b);
+        let least = |factors: [f64; 3]| {
+            let (mut low, mut high, mut sum) = (1.0, 1.0, 1.0);
+            for (k, factor) in self.radial.iter().zip(factors) {
+                (low, high) = (low * a2, high * b2);
+                sum += f64::min(k * factor * low, k * factor * high);
+            }
+            sum
+        };
+        let radial = f64::min(least([1.0; 3]), least([3.0, 5.0, 7.0]));
+        radial - 6.0 * self.decentring().length() * b
+    }
+
+    /// A bound on the eigenvalues of the Jacobian over the sensor, from below.
+    pub fn least_stretch(&self) -> f64 {
+        self.least_stretch
+    }
+
+    /// A bound on the eigenvalues of the Jacobian within `radius`, from above.
+    pub fn most_stretch(&self, radius: f64) -> f64 {
+        let s = radius * radius;
+        let [k1, k2, k3] = self.radial.map(f64::abs);
+        1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
+            + 6.0 * self.decentring().length() * radius
+    }
+
+    /// A Lipschitz constant of the Jacobian within `radius`: its derivative along a
+    /// unit vector h is 4f″(x·h)²x + 2f′(2(x·h)h + x) for the scale f, and twice
+    /// q + 2(q·h)h for the tangential part.
+    pub fn curvature(&self, radius: f64) -> f64 {
+        let s = radius * radius;
+        let [k1, k2, k3] = self.radial.map(f64::abs);
+        let slope = k1 + s * (2.0 * k2 + s * 3.0 * k3);
+        let second = 2.0 * k2 + s * 6.0 * k3;
+        radius * (6.0 * slope + 4.0 * s * second) + 6.0 * self.decentring().length()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::{Key, Purpose};
+
+    /// From slight to strong, barrel and pincushion, decentred.
+    const LENSES: [([f64; 3], [f64; 2]); 5] = [
+        ([-0.12, 0.05, 0.0], [0.0, 0.0]),
+        ([0.3, -0.2, 0.1], [2e-3, -1e-3]),
+        ([-0.25, 0.1, -0.02], [5e-3, 4e-3]),
+        ([0.0; 3], [0.02, -0.01]),
+        ([1.5, 2.0, 3.0], [0.0, 0.01]),
+    ];
+    const REACH: f64 = 0.5;
+
+    fn points(n: u64, radius: f64) -> impl Iterator<Item = DVec2> {
+        let key = Key::new(9, Purpose::SensorNoise);
+        (0..n).map(move |i| {
+            let turn = key.with(i).uniform(0) * std::f64::consts::TAU;
+            DVec2::from_angle(turn) * radius * key.with(i).uniform(1).sqrt()
+        })
+    }
+
+    #[test]
+    fn the_formula_is_that_of_brown() {
+        let lens = Distortion::unchecked([0.1, 0.2, 0.3], [0.01, 0.02]);
+        let (x, y) = (0.3, -0.2);
+        let r2: f64 = 0.13;
+        let scale = 1.0 + 0.1 * r2 + 0.2 * r2 * r2 + 0.3 * r2.powi(3);
+        let expected = DVec2::new(
+            x * scale + 0.02 * x * y + 0.02 * (r2 + 2.0 * x * x),
+            y * scale + 0.01 * (r2 + 2.0 * y * y) + 0.04 * x * y,
+        );
+        assert!((lens.distort(DVec2::new(x, y)) - expected).length() < 1e-15);
+    }
+
+    /// Both ways to a few roundings of coordinates below 1, over all the sensor.
+    #[test]
+    fn undistorting_inverts_distorting() {
+        for (radial, tangential) in LENSES {
+            let lens = Distortion::new(radial, tangential, REACH).unwrap();
+            for seen in points(2000, REACH) {
+                let x = lens.undistort(seen, seen);
+                assert!(lens.covers(x));
+                let back = lens.distort(x);
+                assert!((back - seen).length() < 2e-15, "{radial:?} {seen} {back}");
+            }
+        }
+    }
+
+    /// Differences over 2h = 2e-5 miss a derivative by h²/6 of the third, which is
+    /// below 400 here, and by 1e-16/h of rounding.
+    #[test]
+    fn derivatives_are_those_of_the_map() {
+        let h = 1e-5;
+        for (radial, tangential) in LENSES {
+            let lens = Distortion::unchecked(radial, tangential);
+            for x in points(50, REACH) {
+                for (axis, column) in [
+                    (DVec2::X, lens.jacobian(x).x_axis),
+                    (DVec2::Y, lens.jacobian(x).y_axis),
+                ] {
+                    let found =
+                        (lens.distort(x + axis * h) - lens.distort(x - axis * h)) / (2.0 * h);
+                    assert!((found - column).length() < 2e-8, "{found} {column}");
+                }
+                for (i, expected) in lens.by_coefficients(x).into_iter().enumerate() {
+                    let mut more = lens;
+                    match i < 3 {
+                        true => more.radial[i] += 1.0,
+                        false => more.tangential[i - 3] += 1.0,
+                    }
+                    let found = more.distort(x) - lens.distort(x);
+                    assert!((found - expected).length() < 1e-14);
+                }
+            }
+        }
+    }
+
+    /// No pair of points is stretched, and no chord bent, beyond the bounds; and
+    /// for radial distortion they are no idle ones.
+    #[test]
+    fn bounds_hold() {
+        for (radial, tangential) in LENSES {
+            let lens = Distortion::new(radial, tangential, REACH).unwrap();
+            let radius = lens.radius;
+            let (least, most) = (lens.least_stretch(), lens.most_stretch(radius));
+            let curvature = lens.curvature(radius);
+            let mut sharpest: f64 = 0.0;
+            let all: Vec<DVec2> = points(4000, radius).collect();
+            for pair in all.chunks(2) {
+                let way = pair[1] - pair[0];
+                let moved = lens.distort(pair[1]) - lens.distort(pair[0]);
+                let stretch = moved.length() / way.length();
+                assert!(
+                    (least..=most).contains(&stretch),
+                    "{least} {stretch} {most}"
+                );
+                let straight = lens.jacobian(pair[0]) * way;
+                let bend = 2.0 * (moved - straight).length() / way.length_squared();
+                sharpest = sharpest.max(bend / curvature);
+            }
+            assert!((0.1..=1.0).contains(&sharpest), "{radial:?} {sharpest}");
+        }
+    }
+
+    /// Barrel distortion k₁ folds where 1 + 3k₁r² = 0, at r = 1/√-3k₁ and the image
+    /// r′ = 2r/3: with k₁ = -1 at r′ = 0.385.
+    #[test]
+    fn a_fold_within_the_sensor_is_refused() {
+        assert!(Distortion::new([-1.0, 0.0, 0.0], [0.0; 2], 0.37).is_ok());
+        for reach in [0.39, 1.0, 100.0] {
+            let refused = Distortion::new([-1.0, 0.0, 0.0], [0.0; 2], reach);
+            assert!(refused.unwrap_err().contains("folds"), "{reach}");
+        }
+        for wild in [f64::NAN, f64::INFINITY, -1e300] {
+            assert!(Distortion::new([wild, 0.0, 0.0], [0.0; 2], 0.3).is_err());
+            assert!(Distortion::new([0.0; 3], [wild, 0.0], 0.3).is_err());
+        }
+    }
+}

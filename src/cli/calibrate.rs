@@ -1,0 +1,63 @@
+use super::{Output, STOP, SceneArguments};
+use crate::batch::{self, CalibrationSummary, Control};
+use crate::error::Result;
+use crate::inspect::chart::short;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load()?;
+    let bar = output.progress(batch::CALIBRATION_VIEWS as u64, "views");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        stop: &STOP,
+    };
+    let summary = batch::calibrate(scene, &arguments.output, &control);
+    bar.finish_and_clear();
+    let summary = summary?;
+    output.result(&summary, &text(&summary))
+}
+
+fn text(summary: &CalibrationSummary) -> String {
+    let mut text = format!(
+        "{} views: {} dots (σ = {} px), {} points of the laser line (σ = {} px)\n\n\
+         {:<24}{:>14}{:>14}{:>10}\n",
+        summary.views,
+        summary.dots,
+        short(summary.dot_sigma_px),
+        summary.line_points,
+        short(summary.line_sigma_px),
+        "parameter",
+        "error",
+        "uncertainty",
+        "ratio"
+    );
+    for p in &summary.parameters {
+        let _ = writeln!(
+            text,
+            "{:<24}{:>14.3e}{:>14.3e}{:>10.2}",
+            p.parameter, p.error, p.standard_uncertainty, p.normalised_error
+        );
+    }
+    text + &format!(
+        "\nχ² of all errors {:.1} (expected {} ± {:.1})\n\
+         points of the laser plane: off by {} µm, uncertain by {} µm (rms over the sensor)\n\
+         {}\n{}\n",
+        summary.chi_squared,
+        summary.parameters.len(),
+        (2.0 * summary.parameters.len() as f64).sqrt(),
+        short(summary.point_error_um),
+        short(summary.point_uncertainty_um),
+        summary.calibration.display(),
+        summary.picture.display()
+    )
+}

@@ -1,0 +1,340 @@
+//! The path of a scan: where head and part are in each frame, and between frames.
+
+use super::file::{Moves, RotaryTable, ScanTable};
+use super::poses;
+use super::resolve::Resolver;
+use crate::error::Result;
+use crate::math::{DMat3, DVec3, Rigid};
+use glam::DQuat;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// The way of the moving body through the world: in frame k it stands at
+/// motion(k) · its pose at rest.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScanPath {
+    pub frames: u32,
+    pub moves: Moves,
+    pub motion: Motion,
+    /// The head at rest, turned nowhere.
+    pub start: DVec3,
+    /// Share of the way from frame to frame that one exposure takes, 0 to 1;
+    /// `None` without a frame rate.
+    pub exposure_share: Option<f64>,
+    /// Poses in one exposure whose light is averaged.
+    pub exposure_poses: u32,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Motion {
+    Linear {
+        /// From one frame to the next.
+        step: DVec3,
+    },
+    Rotary {
+        axis_point: DVec3,
+        /// Unit vector.
+        axis_direction: DVec3,
+        step_deg: f64,
+        start_deg: f64,
+    },
+    Poses {
+        file: PathBuf,
+        /// One a frame: too many to print.
+        #[serde(skip)]
+        poses: Vec<Rigid>,
+    },
+}
+
+impl ScanPath {
+    /// One frame, the head in the world's frame.
+    pub fn at_rest() -> ScanPath {
+        ScanPath {
+            frames: 1,
+            moves: Moves::Head,
+            motion: Motion::Linear { step: DVec3::ZERO },
+            start: DVec3::ZERO,
+            exposure_share: None,
+            exposure_poses: 1,
+        }
+    }
+}
+
+impl Motion {
+    /// The motion at a place on the path, a frame number or between two. Poses of a
+    /// list are joined by straight ways and turns of constant speed, and go on
+    /// beyond the ends as they went.
+    fn at(&self, place: f64) -> Rigid {
+        match self {
+            Motion::Linear { step } => Rigid::translation(*step * place),
+            Motion::Rotary {
+                axis_point,
+                axis_direction,
+                step_deg,
+                start_deg,
+            } => {
+                // Whole turns taken off in degrees, where they are exact.
+                let angle = ((start_deg + step_deg * place) % 360.0).to_radians();
+                let rotation = DMat3::from_axis_angle(*axis_direction, angle);
+                Rigid {
+                    rotation,
+                    translation: *axis_point - rotation * *axis_point,
+                }
+            }
+            Motion::Poses { poses, .. } => {
+                let last = poses.len() - 1;
+                let before = (place.max(0.0) as usize).min(last.saturating_sub(1));
+                let share = place - before as f64;
+                match share {
+                    // As it stands in the file, to the bit.
+                    0.0 => poses[before],
+                    1.0 => poses[before + 1],
+                    _ if last == 0 => poses[0],
+                    _ => between(&poses[before], &poses[before + 1], share),
+                }
+            }
+        }
+    }
+}
+
+/// The pose `share` of the way from `a` to `b`, the shorter way round.
+fn between(a: &Rigid, b: &Rigid, share: f64) -> Rigid {
+    let turn = DQuat::from_mat3(&(a.rotation.transpose() * b.rotation));
+    let turn = if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis();
+    Rigid {
+        rotation: a.rotation * DMat3::from_quat(DQuat::from_scaled_axis(turn * share)),
+        translation: a.translation + (b.translation - a.translation) * share,
+    }
+}
+
+impl ScanPath {
+    pub fn world_from_head(&self, place: f64) -> Rigid {
+        let rest = Rigid::translation(self.start);
+        match self.moves {
+            Moves::Head => self.motion.at(place) * rest,
+            Moves::Part => rest,
+        }
+    }
+
+    pub fn world_from_part(&self, place: f64, rest: &Rigid) -> Rigid {
+        match self.moves {
+            Moves::Head => *rest,
+            Moves::Part => self.motion.at(place) * *rest,
+        }
+    }
+
+    /// Whether head and part turn against each other on the way.
+    pub fn turns(&self) -> bool {
+        match &self.motion {
+            Motion::Linear { .. } => false,
+            Motion::Rotary { step_deg, .. } => *step_deg != 0.0,
+            Motion::Poses { poses, .. } => poses.iter().any(|p| p.rotation != poses[0].rotation),
+        }
+    }
+
+    /// Where on the path the light of a frame is taken: about the frame's own
+    /// place, the middle of the exposure.
+    pub fn exposure_places(&self, frame: u32) -> impl Iterator<Item = f64> + use<> {
+        let n = self.exposure_poses as f64;
+        let share = self.exposure_share.unwrap_or(0.0);
+        (0..self.exposure_poses).map(move |i| frame as f64 + share * ((i as f64 + 0.5) / n - 0.5))
+    }
+}
+
+impl Resolver<'_> {
+    /// The path, and the bytes that stand for a file of poses in the hash.
+    pub(super) fn scan(&self, table: &ScanTable, exposure_ms: f64) -> Result<(ScanPath, Vec<u8>)> {
+        let (exposure_share, exposure_poses) = self.exposure(table, exposure_ms)?;
+        let (motion, frames, hash) = match (&table.rotary, &table.poses) {
+            (None, None) => (self.linear(table)?, self.frames(table)?, Vec::new()),
+            (Some(rotary), None) => (self.rotary(rotary)?, self.frames(table)?, Vec::new()),
+            (None, Some(file)) => {
+                let absent = table.frames.is_none();
+                self.check(absent, "scan.frames", "no such key beside scan.poses")?;
+                self.poses(file)?
+            }
+            (Some(_), Some(_)) => {
+                let expected = "exactly one of step_mm with direction, rotary, and poses";
+                return Err(self.source.wrong("scan", expected));
+            }
+        };
+        if table.rotary.is_some() || table.poses.is_some() {
+            let expected = "no such key beside scan.rotary or scan.poses";
+            self.check(table.step_mm.is_none(), "scan.step_mm", expected)?;
+            self.check(table.direction.is_none(), "scan.direction", expected)?;
+        }
+        let path = ScanPath {
+            frames,
+            moves: table.moves,
+            motion,
+            start: self.lengths(table.start_mm, "scan.start_mm")?.into(),
+            exposure_share,
+            exposure_poses,
+        };
+        Ok((path, hash))
+    }
+
+    fn given<T>(&self, value: Option<T>, key: &str) -> Result<T> {
+        value.ok_or_else(|| self.source.wrong(key, "it to be given"))
+    }
+
+    fn frames(&self, table: &ScanTable) -> Result<u32> {
+        let frames = self.given(table.frames, "scan.frames")?;
+        self.check(frames > 0, "scan.frames", "at least 1")?;
+        Ok(frames)
+    }
+
+    fn linear(&self, table: &ScanTable) -> Result<Motion> {
+        let direction = self.given(table.direction, "scan.direction")?;
+        let direction = self.direction(direction, "scan.direction")?;
+        let step = self.given(table.step_mm, "scan.step_mm")?;
+        let [step] = self.lengths([step], "scan.step_mm")?;
+        Ok(Motion::Linear {
+            step: direction * step,
+        })
+    }
+
+    fn rotary(&self, table: &RotaryTable) -> Result<Motion> {
+        let angle = |value: f64, key: &str| {
+            let holds = value.abs() <= 360.0;
+            self.check(holds, key, "an angle from -360 to 360")
+                .map(|()| value)
+        };
+        let axis_point = self.lengths(table.axis_point_mm, "scan.rotary.axis_point_mm")?;
+        Ok(Motion::Rotary {
+            axis_point: axis_point.into(),
+            axis_direction: self.direction(table.axis_direction, "scan.rotary.axis_direction")?,
+            step_deg: angle(table.step_deg, "scan.rotary.step_deg")?,
+            start_deg: angle(table.start_deg, "scan.rotary.start_deg")?,
+        })
+    }
+
+    fn poses(&self, file: &str) -> Result<(Motion, u32, Vec<u8>)> {
+        let file = self.path.parent().unwrap_or(Path::new("")).join(file);
+        if !file.is_file() {
+            let expected = format!("a CSV file of poses; there is none at {}", file.display());
+            return Err(self.source.wrong("scan.poses", &expected));
+        }
+        let bytes = std::fs::read(&file).map_err(crate::error::Error::io("read", &file))?;
+        let poses = poses::parse(&file, &bytes)?;
+        let frames = poses.len() as u32;
+        let hash = Sha256::digest(&bytes).to_vec();
+        Ok((Motion::Poses { file, poses }, frames, hash))
+    }
+
+    fn exposure(&self, table: &ScanTable, exposure_ms: f64) -> Result<(Option<f64>, u32)> {
+        let share = match table.frame_rate_hz {
+            Some(rate) => {
+                let rate = self.positive(rate, "scan.frame_rate_hz")?;
+                let share = exposure_ms * 1e-3 * rate;
+                let expected = format!("at most one frame in the exposure of {exposure_ms} ms");
+                self.check(share <= 1.0, "scan.frame_rate_hz", &expected)?;
+                Some(share)
+            }
+            None => None,
+        };
+        let poses = table.exposure_poses;
+        let key = "scan.exposure_poses";
+        self.check((1..=64).contains(&poses), key, "from 1 to 64")?;
+        let known = share.is_some() || poses == 1;
+        self.check(known, key, "1, or scan.frame_rate_hz to be given")?;
+        Ok((share, poses))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn path(moves: Moves, motion: Motion) -> ScanPath {
+        ScanPath {
+            frames: 5,
+            moves,
+            motion,
+            start: DVec3::new(1.0, 2.0, 3.0),
+            exposure_share: None,
+            exposure_poses: 1,
+        }
+    }
+
+    fn rotary(step_deg: f64) -> Motion {
+        Motion::Rotary {
+            axis_point: DVec3::new(0.0, 5.0, -7.0),
+            axis_direction: DVec3::X,
+            step_deg,
+            start_deg: 30.0,
+        }
+    }
+
+    fn assert_close(a: &Rigid, b: &Rigid) {
+        let turned = (a.rotation - b.rotation).to_cols_array();
+        assert!(turned.iter().all(|x| x.abs() < 1e-14), "{a:?} {b:?}");
+        assert!((a.translation - b.translation).length() < 1e-13);
+    }
+
+    #[test]
+    fn a_rotary_table_turns_about_its_axis_and_keeps_the_points_on_it() {
+        let path = path(Moves::Part, rotary(60.0));
+        let rest = Rigid::translation(DVec3::new(4.0, 5.0, -5.0));
+        // 90° about x, in frame 1, takes y to z and z to −y.
+        let part = path.world_from_part(1.0, &rest);
+        assert!((part.translation - DVec3::new(4.0, 3.0, -7.0)).length() < 1e-14);
+        assert!((part.vector(DVec3::Y) - DVec3::Z).length() < 1e-15);
+        let on_axis = DVec3::new(9.0, 5.0, -7.0);
+        assert!((path.motion.at(3.3).point(on_axis) - on_axis).length() < 1e-14);
+        assert_eq!(path.world_from_head(1.0), Rigid::translation(path.start));
+    }
+
+    /// To turn the part is to turn the head the other way.
+    #[test]
+    fn head_and_part_see_the_same_when_either_moves() {
+        let rest = Rigid::from_euler_xyz(DVec3::new(0.1, 0.2, 0.3), DVec3::new(7.0, 8.0, 9.0));
+        let part_from_head =
+            |path: ScanPath| path.world_from_part(2.0, &rest).inverse() * path.world_from_head(2.0);
+        let Motion::Rotary { axis_point, .. } = rotary(0.0) else {
+            unreachable!()
+        };
+        let back = Motion::Rotary {
+            axis_point,
+            axis_direction: -DVec3::X,
+            step_deg: 17.0,
+            start_deg: 30.0,
+        };
+        assert_close(
+            &part_from_head(path(Moves::Head, rotary(17.0))),
+            &part_from_head(path(Moves::Part, back)),
+        );
+    }
+
+    #[test]
+    fn a_list_of_poses_is_met_exactly_joined_between_and_carried_on() {
+        let pose = |angle, x| Rigid::from_euler_xyz(DVec3::Z * angle, DVec3::new(x, 0.0, 0.0));
+        let list = |poses: Vec<Rigid>| Motion::Poses {
+            file: PathBuf::new(),
+            poses,
+        };
+        let motion = list(vec![pose(0.0, 0.0), pose(0.2, 1.0), pose(0.2, 5.0)]);
+        assert_eq!(motion.at(0.0), pose(0.0, 0.0));
+        assert_eq!(motion.at(1.0), pose(0.2, 1.0));
+        assert_eq!(motion.at(2.0), pose(0.2, 5.0));
+        assert_close(&motion.at(0.25), &pose(0.05, 0.25));
+        assert_close(&motion.at(1.5), &pose(0.2, 3.0));
+        assert_close(&motion.at(-0.5), &pose(-0.1, -0.5));
+        assert_close(&motion.at(2.25), &pose(0.2, 6.0));
+        assert_eq!(list(vec![pose(0.3, 2.0)]).at(0.4), pose(0.3, 2.0));
+    }
+
+    #[test]
+    fn the_poses_of_an_exposure_lie_about_the_frame() {
+        let mut path = path(Moves::Head, rotary(1.0));
+        path.exposure_share = Some(0.4);
+        let places = |path: &ScanPath| path.exposure_places(7).collect::<Vec<_>>();
+        assert_eq!(places(&path), [7.0]);
+        path.exposure_poses = 4;
+        for (place, expected) in places(&path).into_iter().zip([6.85, 6.95, 7.05, 7.15]) {
+            assert!((place - expected).abs() < 1e-14);
+        }
+    }
+}
