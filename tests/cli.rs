@@ -304,3 +304,58 @@ fn the_schema_in_the_project_is_the_one_the_program_prints() {
         "the scene format has changed: run\n  cargo run -- schema > scenes/scene.schema.json"
     );
 }
+
+/// A line of 200 counts in row 12 of each column, found by each finder; the same
+/// image on its side; and files that are no image.
+#[test]
+fn a_line_is_found_in_an_image_of_the_users() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let shape = |y: u32| [20, 90, 200, 90, 20][y as usize];
+    let line = image::GrayImage::from_fn(40, 30, |_, y| {
+        image::Luma([if (10..15).contains(&y) {
+            shape(y - 10)
+        } else {
+            3
+        }])
+    });
+    line.save(path.join("line.png")).unwrap();
+    image::imageops::rotate90(&line)
+        .save(path.join("side.png"))
+        .unwrap();
+    for (file, along, row) in [
+        ("line.png", "columns", "12.5"),
+        ("side.png", "rows", "17.5"),
+    ] {
+        let arguments = ["peaks", "--image", file, "--line-along", along, "-o", "out"];
+        let (code, _, stderr) = run(path, &arguments);
+        assert_eq!((code, stderr.as_str()), (0, ""));
+        let table = fs::read_to_string(path.join("out/line.csv")).unwrap();
+        let rows: Vec<&str> = table.lines().skip(1).collect();
+        assert_eq!(rows.len(), 4 * 40, "{table}");
+        for line in rows {
+            let found = line.split(',').nth(2).unwrap();
+            assert!(found.starts_with(row), "{along}: {line}");
+        }
+    }
+    fs::write(path.join("text.png"), "no image").unwrap();
+    for (file, code, word) in [
+        ("text.png", 65, "expected an image"),
+        (".", 65, "regular file"),
+        ("no.png", 74, "cannot read no.png"),
+    ] {
+        assert_error(path, &["peaks", "--image", file, "-o", "x"], code, &[word]);
+    }
+    let rows = ["peaks", "--line-along", "rows", "-o", "x"];
+    assert_error(path, &rows, 64, &["--image"]);
+    assert!(!path.join("x").exists());
+}
+
+/// A choice that is none is refused by name.
+#[test]
+fn a_wrong_peak_finder_is_named() {
+    let text = scene(PLANE) + "[measure]\npeak = \"parabola\"\n";
+    let folder = folder_with(&text);
+    let words = ["parabola", "log-parabola"];
+    assert_error(folder.path(), &["check", "scene.toml"], 65, &words);
+}

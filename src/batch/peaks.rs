@@ -134,13 +134,14 @@ pub fn peak_chart(seed: u64, out: &Path, control: &Control) -> Result<PeakChart>
     let axes = AXES
         .par_iter()
         .map(|&(title, quantity, values, condition)| {
+            let random = matches!(title, "Noise" | "Speckle");
             let conditions: Vec<Condition> = values.iter().map(|&x| condition(x)).collect();
             let rows = conditions
                 .par_iter()
                 .map(|condition| {
                     control.check()?;
-                    let row =
-                        PeakFinder::ALL.map(|finder| errors(condition, finder, &lookup, seed));
+                    let row = PeakFinder::ALL
+                        .map(|finder| errors(condition, random, finder, &lookup, seed));
                     let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
                     (control.progress)(n + 1);
                     Ok(row)
@@ -168,24 +169,23 @@ pub fn peak_chart(seed: u64, out: &Path, control: &Control) -> Result<PeakChart>
     Ok(chart)
 }
 
-/// What `finder` makes of lines like this; `None` if it finds fewer than half.
+/// What `finder` makes of lines like this; `None` if it finds fewer than half. The
+/// bias that chance does not cause (`random`) shows best without noise.
 fn errors(
     condition: &Condition,
+    random: bool,
     finder: PeakFinder,
     lookup: &Lookup,
     seed: u64,
 ) -> Option<FinderError> {
     let noisy = spread(condition, finder, TRIALS, lookup, seed)?;
-    // Without speckle the bias shows best where there is no noise; light or noise
-    // that change it have their own panels.
     let silent = Condition {
         noise: 0.0,
         ..*condition
     };
-    let by_light = condition.speckle_px == 0.0 && condition.noise == BASE.noise;
-    let bias = match by_light && condition.height >= BASE.height / 2.0 {
-        true => spread(&silent, finder, 1, lookup, seed)?,
-        false => noisy,
+    let bias = match random {
+        true => noisy,
+        false => spread(&silent, finder, 1, lookup, seed)?,
     };
     Some(FinderError {
         bias_px: bias.bias_px,
