@@ -8,6 +8,7 @@ mod scan;
 mod simulation;
 mod speckle;
 mod synthetic;
+mod uncertainty;
 mod wave;
 
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
@@ -16,6 +17,7 @@ pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
+pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
 };

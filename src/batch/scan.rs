@@ -150,7 +150,7 @@ fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<(
     files::write(path, |out| {
         writeln!(
             out,
-            "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um"
+            "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um,sigma_um"
         )?;
         // Points are in the order of their peaks, and a peak may have none.
         let mut points = points.iter().peekable();
@@ -168,9 +168,10 @@ fn write_profile(path: &Path, peaks: &[Peak], points: &[CloudPoint]) -> Result<(
                 Some(point) => {
                     let [x, y, z] = point.position.to_array();
                     let deviation = point.deviation * 1e3;
-                    writeln!(out, ",{x:.6},{y:.6},{z:.6},{deviation:.4}")?;
+                    let sigma = point.sigma * 1e3;
+                    writeln!(out, ",{x:.6},{y:.6},{z:.6},{deviation:.4},{sigma:.4}")?;
                 }
-                None => writeln!(out, ",,,,")?,
+                None => writeln!(out, ",,,,,")?,
             }
         }
         Ok(())

@@ -10,7 +10,7 @@ use crate::integrator::plan::SpeckleOptics;
 use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
-use crate::profile::{Calibration, Peak, PeakSettings, find_peaks};
+use crate::profile::{Calibration, ErrorModel, Peak, PeakSettings, SpeckleGrain, find_peaks};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
@@ -28,6 +28,7 @@ pub struct Simulation<'s> {
     clusters: Option<Clusters>,
     /// `None`: dark counts are all the same.
     dark: Option<DarkCounts>,
+    errors: ErrorModel,
 }
 
 /// Tells the keys of groups of dark pixels from those of pixels: no sensor has as
@@ -64,6 +65,7 @@ impl<'s> Simulation<'s> {
             },
             clusters: None,
             dark: DarkCounts::new(&scene.camera.sensor),
+            errors: error_model(scene),
         })
     }
 
@@ -141,20 +143,33 @@ impl<'s> Simulation<'s> {
         }
     }
 
+    /// Lines of an image and the standard uncertainty of their rows, px.
+    pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<f64>) {
+        let columns = self.scene.camera.sensor.resolution.x as usize;
+        let mut peaks = find_peaks(counts, columns, &self.peak_settings());
+        let uncertainties = self.errors.row_uncertainties(&mut peaks);
+        (peaks, uncertainties)
+    }
+
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let Camera { sensor, .. } = &self.scene.camera;
         let calibration = self.calibration();
         let part_from_camera = self.view(frame).part_from_camera;
-        let columns = sensor.resolution.x as usize;
-        let peaks = find_peaks(counts, columns, &self.peak_settings());
+        let (peaks, uncertainties) = self.peaks(counts);
+        let eye = part_from_camera.translation;
         let points = peaks
             .iter()
-            .filter_map(|peak| {
+            .zip(uncertainties)
+            .filter_map(|(peak, uncertainty)| {
                 let position = part_from_camera.point(calibration.point(peak)?);
+                let error =
+                    part_from_camera.vector(calibration.row_derivative(peak)?) * uncertainty;
+                let (deviation, normal) = signed_distance(&self.accel, position, eye);
                 Some(CloudPoint {
                     position,
-                    deviation: signed_distance(&self.accel, position, part_from_camera.translation),
+                    deviation,
+                    sigma: error.length(),
+                    deviation_sigma: error.dot(normal).abs(),
                     intensity: peak.intensity,
                     frame,
                     column: peak.column,
@@ -164,6 +179,19 @@ impl<'s> Simulation<'s> {
             .collect();
         (peaks, points)
     }
+}
+
+/// What data sheets of the scene's laser and camera tell of the errors of peaks.
+fn error_model(scene: &Scene) -> ErrorModel {
+    let Camera { sensor, .. } = &scene.camera;
+    let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
+    let size = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    let grain = scene.speckle.map(|model| SpeckleGrain {
+        size_px: size / sensor.pixel_pitch,
+        contrast: model.coherence.contrast(),
+        aperture: model.aperture,
+    });
+    ErrorModel::new(scene.measure.finder, shot, grain)
 }
 
 /// The patterns of a scan: ten slices a pupil diameter, 270 MB as fields.

@@ -9,3 +9,4 @@ pub mod deviation;
 pub mod picture;
 pub mod plot;
 pub mod report;
+pub mod uncertainty;

@@ -156,7 +156,7 @@ mod tests {
     #[test]
     fn noise_is_measured_also_where_the_black_level_cuts_it() {
         let normal = Normal::new(0.0, 3.0).unwrap();
-        for (black, bias) in [(100.0, 0.001), (0.0, 0.03)] {
+        for (black, bias) in [(100.0_f64, 0.001), (0.0, 0.03)] {
             let mut sum = 0.0;
             for column in 0..100 {
                 let mut stream = Key::new(1, Purpose::SensorNoise).with(column).stream();

@@ -129,7 +129,8 @@ fn chosen<'a>(
         background: found.background,
         top,
         height,
-        sigma: half_height_sigma(column, top, mean),
+        // Speckle breaks a line up: the top grain's width is not the line's.
+        sigma: half_height_sigma(column, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
     (line, tops.len() > 1)

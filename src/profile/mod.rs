@@ -2,7 +2,8 @@
 //! to millimetres. Sees images and a calibration, never the scene.
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
-//! what is doubtful about them, `locate` and `fit` where each lies in its pixels.
+//! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
+//! `uncertainty` how surely.
 
 mod background;
 mod find;
@@ -10,6 +11,7 @@ mod fit;
 mod locate;
 mod peak;
 mod triangulate;
+mod uncertainty;
 
 pub use background::FALSE_PEAKS_PER_FRAME;
 pub use find::{
@@ -17,3 +19,6 @@ pub use find::{
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use triangulate::Calibration;
+pub use uncertainty::{
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, SIGMAS_PX, SpeckleGrain,
+};
