@@ -31,6 +31,7 @@ fn covered(scene: &Scene, kept: impl Fn(u32) -> bool) -> SurfaceCoverage {
         accel: &simulation.accel,
         laser: &scene.laser,
         camera: &scene.camera,
+        first_frame: 0,
         poses: &poses,
         points: &points,
     })

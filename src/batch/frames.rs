@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// The frames of a scan in the making.
 pub struct Run<'a> {
     pub simulation: &'a Simulation<'a>,
+    pub geometry_only: bool,
     pub out: &'a Path,
     pub control: &'a Control<'a>,
     /// Frames finished so far.
@@ -35,11 +36,16 @@ impl Run<'_> {
     /// Takes a frame, measures it and writes its files.
     fn frame(&self, frame: u32) -> Result<FrameRecord> {
         self.control.check()?;
-        let counts = self
-            .simulation
-            .counts(frame, &self.simulation.irradiance(frame));
-        let (peaks, points) = self.simulation.measure(frame, &counts);
-        let columns = self.simulation.scene.camera.sensor.resolution.x;
+        let simulation = self.simulation;
+        let (counts, (peaks, points)) = match self.geometry_only {
+            true => (Vec::new(), simulation.geometric(frame)),
+            false => {
+                let counts = simulation.counts(frame, &simulation.irradiance(frame));
+                let measured = simulation.measure(frame, &counts);
+                (counts, measured)
+            }
+        };
+        let columns = simulation.scene.camera.sensor.resolution.x;
         let mut files = Vec::new();
         for (i, name) in self.names(frame).iter().enumerate() {
             let bytes = match i {
@@ -102,8 +108,9 @@ impl Run<'_> {
 
 /// One line a measured column: pixels, then the point in the part's frame.
 fn profile_csv(peaks: &[Peak], points: &[CloudPoint]) -> Vec<u8> {
-    let mut text =
-        String::from("column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um\n");
+    let mut text = String::from(
+        "column,row_px,intensity_dn,width_px,flags,x_mm,y_mm,z_mm,deviation_um,sigma_um\n",
+    );
     // Points are in the order of their peaks, and a peak may have none.
     let mut points = points.iter().peekable();
     for peak in peaks {
@@ -121,9 +128,10 @@ fn profile_csv(peaks: &[Peak], points: &[CloudPoint]) -> Vec<u8> {
             Some(point) => {
                 let [x, y, z] = point.position.to_array();
                 let deviation = point.deviation * 1e3;
-                writeln!(text, ",{x:.6},{y:.6},{z:.6},{deviation:.4}")
+                let sigma = point.sigma * 1e3;
+                writeln!(text, ",{x:.6},{y:.6},{z:.6},{deviation:.4},{sigma:.4}")
             }
-            None => writeln!(text, ",,,,"),
+            None => writeln!(text, ",,,,,"),
         };
     }
     text.into_bytes()

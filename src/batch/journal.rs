@@ -38,6 +38,7 @@ pub struct RunKey {
     pub scene_sha256: String,
     pub seed: u64,
     pub frames: Range<u32>,
+    pub geometry_only: bool,
 }
 
 impl RunKey {
@@ -56,6 +57,9 @@ impl RunKey {
             }
             () if old.seed != self.seed => differ("seed", &old.seed, &self.seed),
             () if old.frames != self.frames => differ("frames", &old.frames, &self.frames),
+            () if old.geometry_only != self.geometry_only => {
+                differ("--geometry-only", &old.geometry_only, &self.geometry_only)
+            }
             () => None,
         }
     }
@@ -266,6 +270,7 @@ mod tests {
             scene_sha256: "ab".into(),
             seed: 7,
             frames: 3..8,
+            geometry_only: false,
         }
     }
 
@@ -273,6 +278,8 @@ mod tests {
         let point = CloudPoint {
             position: DVec3::new(1.0 / 3.0, 1e-300, -7.0),
             deviation: 0.1,
+            sigma: 0.02,
+            deviation_sigma: 0.01,
             intensity: 200.5,
             frame,
             column: 9,

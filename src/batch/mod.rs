@@ -4,13 +4,16 @@ mod calibrate;
 mod files;
 mod frames;
 mod journal;
+mod measure;
 mod peak_image;
 mod peaks;
 mod render;
+mod report;
 mod scan;
 mod simulation;
 mod speckle;
 mod synthetic;
+mod uncertainty;
 mod wave;
 
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
@@ -20,6 +23,7 @@ pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
+pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
 };

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::inspect::chart::{Histogram, color_bar, short};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::color::{Rgb, diverging, of_fate, sequential};
-use crate::inspect::coverage::{HeadPose, SurfaceCoverage};
+use crate::inspect::coverage::HeadPose;
 use crate::inspect::picture::{ParallelView, encode_for_eyes, part_picture};
 use crate::inspect::report::{ColorMap, Report, SampleFrame, count_flags};
 use crate::inspect::setup::Setup;
@@ -28,7 +28,8 @@ pub struct Shown<'a> {
     pub points: &'a [CloudPoint],
     pub frames: std::ops::Range<u32>,
     pub poses: &'a [HeadPose],
-    pub coverage: Option<SurfaceCoverage>,
+    /// Whether frames were taken.
+    pub images: bool,
     pub summary: &'a ScanSummary,
     pub run: Vec<(&'static str, String)>,
 }
@@ -53,16 +54,17 @@ impl Shown<'_> {
         control.check()?;
         maps.push(self.map(
             "Standard uncertainty of the deviation",
-            color_bar(0.0, limits.sigma_um, "µm", &|s| sequential(s, limits.sigma_um)),
+            color_bar(0.0, limits.sigma_um, "µm", &|s| {
+                sequential(s, limits.sigma_um)
+            }),
             "Predicted for each point from speckle, noise and calibration. Points without a flag.",
             &views[..2],
-            &|p| sequential(p.sigma * 1e3, limits.sigma_um),
+            &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
             &|p| p.flags.is_empty(),
         ));
         control.check()?;
-        let [across, along] = [self.poses.first(), self.poses.last()].map(|pose| {
-            pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation)
-        });
+        let [across, along] = [self.poses.first(), self.poses.last()]
+            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
         Ok(Report {
             title: "Laser-triangulation scan".into(),
             lead: self.lead(),
@@ -85,7 +87,10 @@ impl Shown<'_> {
                     "1 px along the beam",
                     format!("{} µm", short(1e3 / plan.px_per_mm)),
                 ),
-                ("speckle size", format!("{} px", short(plan.speckle_size_px))),
+                (
+                    "speckle size",
+                    format!("{} px", short(plan.speckle_size_px)),
+                ),
             ],
             viewer: Some(self.viewer(&limits)),
             maps,
@@ -93,7 +98,10 @@ impl Shown<'_> {
             histograms: self.histograms(&limits),
             flags: count_flags(self.points),
             setup: self.setup(),
-            frames: self.sample_frames(),
+            frames: match self.images {
+                true => self.sample_frames(),
+                false => Vec::new(),
+            },
             plan: plan
                 .effects
                 .iter()
@@ -107,7 +115,7 @@ impl Shown<'_> {
                     ]
                 })
                 .collect(),
-            coverage: self.coverage,
+            coverage: self.summary.coverage.clone(),
             run: self.run,
         })
     }
@@ -169,8 +177,8 @@ impl Shown<'_> {
         let right = part_from_laser.rotation.x_axis;
         let beam = part_from_laser.rotation.z_axis;
         let camera = part_from_camera.rotation.z_axis;
-        let away = camera - 2.0 * part_from_laser.rotation.y_axis
-            * camera.dot(part_from_laser.rotation.y_axis);
+        let away = camera
+            - 2.0 * part_from_laser.rotation.y_axis * camera.dot(part_from_laser.rotation.y_axis);
         let looking = |into: DVec3, hint: DVec3| {
             let right = (hint - into * hint.dot(into)).normalize();
             ParallelView {
@@ -182,22 +190,28 @@ impl Shown<'_> {
         let oblique = |from: DVec3, side: f64| (from + side * right + 0.3 * beam).normalize();
         vec![
             ("along the laser beam", looking(beam, right)),
-            ("from the camera's side", looking(oblique(camera, -0.6), right)),
+            (
+                "from the camera's side",
+                looking(oblique(camera, -0.6), right),
+            ),
             ("from the other side", looking(oblique(away, 0.6), right)),
             (
                 "from one end of the line",
-                looking((right + 0.5 * beam).normalize(), part_from_laser.rotation.y_axis),
+                looking(
+                    (right + 0.5 * beam).normalize(),
+                    part_from_laser.rotation.y_axis,
+                ),
             ),
         ]
     }
 
     fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
         let deviations: Vec<f64> = self.unflagged().map(|p| p.deviation * 1e3).collect();
-        let sigmas: Vec<f64> = self.unflagged().map(|p| p.sigma * 1e3).collect();
+        let sigmas: Vec<f64> = self.unflagged().map(|p| p.deviation_sigma * 1e3).collect();
         let ratios: Vec<f64> = self
             .unflagged()
-            .filter(|p| p.sigma > 0.0)
-            .map(|p| p.deviation / p.sigma)
+            .filter(|p| p.deviation_sigma > 0.0)
+            .map(|p| p.deviation / p.deviation_sigma)
             .collect();
         let n = ratios.len() as f64;
         let normal = |low: f64, high: f64| {
@@ -218,11 +232,27 @@ impl Shown<'_> {
         vec![
             (
                 "Signed distance to the CAD.".into(),
-                histogram("deviation from CAD, µm", &deviations, -d, d, &deviation_color, None).svg(),
+                histogram(
+                    "deviation from CAD, µm",
+                    &deviations,
+                    -d,
+                    d,
+                    &deviation_color,
+                    None,
+                )
+                .svg(),
             ),
             (
                 "Predicted standard uncertainty.".into(),
-                histogram("standard uncertainty, µm", &sigmas, 0.0, s, &sigma_color, None).svg(),
+                histogram(
+                    "standard uncertainty, µm",
+                    &sigmas,
+                    0.0,
+                    s,
+                    &sigma_color,
+                    None,
+                )
+                .svg(),
             ),
             (
                 "If the uncertainty is right and nothing else is off, this is the normal \
@@ -261,26 +291,30 @@ impl Shown<'_> {
                 mode(
                     "standard uncertainty",
                     format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
-                    &|p| sequential(p.sigma * 1e3, s),
+                    &|p| sequential(p.deviation_sigma * 1e3, s),
                 ),
                 mode(
                     "flags",
                     "Points with a flag in magenta, others in grey-blue.".into(),
-                    &|p| if p.flags.is_empty() { UNFLAGGED } else { FLAGGED },
+                    &|p| {
+                        if p.flags.is_empty() {
+                            UNFLAGGED
+                        } else {
+                            FLAGGED
+                        }
+                    },
                 ),
             ],
         }];
-        layers.extend(self.coverage.as_ref().map(|coverage| {
-            Layer {
-                positions: coverage.places.iter().map(|(p, _)| *p).collect(),
-                modes: vec![Mode {
+        layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {
+            positions: coverage.places.iter().map(|(p, _)| *p).collect(),
+            modes: vec![Mode {
                     name: "coverage of the CAD",
                     caption: "Places on the CAD: green measured, yellow weak signal, violet hidden \
                               from the camera, grey hidden from the laser, light grey outside."
                         .into(),
                     colors: coverage.places.iter().map(|(_, f)| of_fate(*f)).collect(),
                 }],
-            }
         }));
         Viewer {
             bounds: self.simulation.accel.bounds(),
@@ -317,7 +351,10 @@ impl Shown<'_> {
         let spread = |frame: u32| {
             let pose = &self.poses[(frame - self.frames.start) as usize];
             let beam = pose.part_from_laser.rotation.z_axis;
-            let depths: Vec<f64> = by_frame(frame).iter().map(|p| p.position.dot(beam)).collect();
+            let depths: Vec<f64> = by_frame(frame)
+                .iter()
+                .map(|p| p.position.dot(beam))
+                .collect();
             let mean = depths.iter().sum::<f64>() / depths.len().max(1) as f64;
             depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
         };
@@ -387,7 +424,7 @@ impl Limits {
         };
         Limits {
             deviation_um: most(&|p| p.deviation),
-            sigma_um: most(&|p| p.sigma),
+            sigma_um: most(&|p| p.deviation_sigma),
         }
     }
 }

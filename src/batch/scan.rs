@@ -3,22 +3,26 @@
 
 use super::frames::Run;
 use super::journal::{Journal, RunKey};
+use super::report::Shown;
 use super::{Control, Coverage, Simulation, files};
 use crate::accel;
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::chart::short;
 use crate::inspect::cloud::{self, CloudPoint};
+use crate::inspect::coverage::{HeadPose, Scanned, SurfaceCoverage, coverage};
 use crate::inspect::deviation::DeviationStatistics;
-use crate::inspect::picture::{ParallelView, cloud_picture, encode_for_eyes};
-use crate::inspect::report::{Report, SampleFrame};
+use crate::inspect::formats::Format;
+use crate::inspect::report::count_flags;
 use crate::math::DVec3;
-use crate::profile::find_peaks;
 use crate::scene::Scene;
+use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
@@ -28,12 +32,23 @@ pub struct ScanSummary {
     pub columns: u32,
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
-    /// `null` if nothing was measured.
+    pub points: usize,
+    /// Of points without a flag; `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
+    /// Of all points.
+    pub deviation_of_all: Option<DeviationStatistics>,
+    /// Share of the points without a flag whose deviation lies within 1.96 times its
+    /// standard uncertainty: 0.95 if nothing but the predicted errors is at work.
+    pub within_95_percent_interval: Option<f64>,
+    /// Number of points with each flag.
+    pub flags: BTreeMap<&'static str, usize>,
+    /// `null` if the scene does not ask for it or too few points were measured.
+    pub alignment: Option<Alignment>,
+    pub coverage: Option<SurfaceCoverage>,
     pub cloud: PathBuf,
     pub report: PathBuf,
-    /// The frame shown in the report, and the cloud over the part.
-    pub pictures: [PathBuf; 2],
+    /// The frame shown in the report, if one was taken, and the cloud over the part.
+    pub pictures: Vec<PathBuf>,
 }
 
 /// `manifest.json`: what was run, with what, and how long it took.
@@ -60,6 +75,10 @@ pub struct ScanOptions {
     pub frames: Option<Range<u32>>,
     /// Keep the frames that an earlier run finished.
     pub resume: bool,
+    /// No images: profiles from laser rays and what the camera sees of them.
+    pub geometry_only: bool,
+    /// Forms of the cloud and the profiles beside PLY and CSV.
+    pub also: Vec<Format>,
 }
 
 /// Runs the frames and writes `cloud.ply`, `profiles/`, `summary.json`,
@@ -78,21 +97,27 @@ pub fn scan(
     let start = Instant::now();
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
+    check_geometry(scene, options)?;
     let key = RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         embree: accel::embree::version(),
         scene_sha256: scene.hash.clone(),
         seed: scene.seed,
         frames: frames.clone(),
+        geometry_only: options.geometry_only,
     };
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
-    let simulation = options.coverage.simulation(scene)?;
+    let simulation = match options.geometry_only {
+        true => Simulation::geometry(scene)?,
+        false => options.coverage.simulation(scene)?,
+    };
     let prepared = Instant::now();
 
     let run = Run {
         simulation: &simulation,
+        geometry_only: options.geometry_only,
         out,
         control,
         done: AtomicU64::new(kept.len() as u64),
@@ -101,7 +126,30 @@ pub fn scan(
     run.frames(frames.start + kept.len() as u32..frames.end, &mut journal)?;
     let measured = Instant::now();
 
-    let summary = finish(&simulation, &frames, &journal.points()?, out, control)?;
+    let run_table = vec![
+        ("lasertrace", key.version.clone()),
+        ("intersection", format!("Embree {}", key.embree)),
+        ("scene", format!("SHA-256 {}", key.scene_sha256)),
+        ("seed", key.seed.to_string()),
+        ("threads", rayon::current_num_threads().to_string()),
+        ("preparing", seconds(prepared - start)),
+        (
+            "frames",
+            format!(
+                "{}, {} frames a second",
+                seconds(measured - prepared),
+                short((frames.len() - kept.len()) as f64 / (measured - prepared).as_secs_f64())
+            ),
+        ),
+    ];
+    let summary = finish(
+        &simulation,
+        options,
+        &frames,
+        &journal,
+        (out, control),
+        run_table,
+    )?;
     journal.sync()?;
     control.check()?;
     let manifest = Manifest {
@@ -131,7 +179,10 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
         "cloud.ply",
         "frame.png",
         "cloud.png",
-    ] {
+    ]
+    .into_iter()
+    .chain(Format::ALL.map(Format::file_name))
+    {
         files::remove(&out.join(name))?;
     }
     if anew {
@@ -147,160 +198,124 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
 /// From the points of all frames to cloud, pictures, report and summary.
 fn finish(
     simulation: &Simulation,
+    options: &ScanOptions,
     frames: &Range<u32>,
-    points: &[Vec<CloudPoint>],
-    out: &Path,
-    control: &Control,
+    journal: &Journal,
+    (out, control): (&Path, &Control),
+    run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
     let scene = simulation.scene;
-    let sample = sample_frame(simulation, frames.start, points);
+    let mut points = journal.points()?.concat();
+    let alignment = align(simulation, &mut points);
     control.check()?;
-    let points = points.concat();
-    let columns = scene.camera.sensor.resolution.x;
-    let summary = ScanSummary {
-        scene: scene.path.clone(),
-        frames: frames.len() as u32,
-        columns,
-        measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
-        deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
-        cloud: out.join("cloud.ply"),
-        report: out.join("report.html"),
-        pictures: ["frame.png", "cloud.png"].map(|name| out.join(name)),
-    };
-    files::write_bytes(&summary.pictures[0], &sample.png)?;
+    let poses: Vec<HeadPose> = frames
+        .clone()
+        .map(|frame| {
+            let part_from_head = scene.part_from_head(frame);
+            HeadPose {
+                part_from_laser: part_from_head * scene.head_from_laser,
+                part_from_camera: part_from_head * scene.head_from_camera,
+            }
+        })
+        .collect();
+    let coverage = coverage(&Scanned {
+        accel: &simulation.accel,
+        laser: &scene.laser,
+        camera: &scene.camera,
+        first_frame: frames.start,
+        poses: &poses,
+        points: &points,
+    });
+    control.check()?;
+    let mut summary = summary(scene, frames, &points, out);
+    summary.alignment = alignment;
+    summary.coverage = coverage;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
-    control.check()?;
-    let report = report(simulation, &points, &summary, sample, control)?;
-    files::write_bytes(&summary.pictures[1], &report.views[1].1)?;
+    for format in &options.also {
+        control.check()?;
+        let bytes = format.bytes(&points).map_err(Error::io("write", out))?;
+        files::write_bytes(&out.join(format.file_name()), &bytes)?;
+    }
+    let shown = Shown {
+        simulation,
+        points: &points,
+        frames: frames.clone(),
+        poses: &poses,
+        images: !options.geometry_only,
+        summary: &summary,
+        run,
+    };
+    let report = shown.report(control)?;
+    let frame = report.frames.first().map(|frame| &frame.png);
+    let cloud = report.maps.first().and_then(|map| map.views.get(1));
+    let cloud = cloud.map(|(_, png)| png);
+    for (name, png) in [("frame.png", frame), ("cloud.png", cloud)] {
+        if let Some(png) = png {
+            let path = out.join(name);
+            files::write_bytes(&path, png)?;
+            summary.pictures.push(path);
+        }
+    }
     files::write_bytes(&summary.report, report.html().as_bytes())?;
     files::write_json(&out.join("summary.json"), &summary)?;
     Ok(summary)
 }
 
-/// The frame with the greatest spread of depth: there is most to see.
-fn sample_frame(simulation: &Simulation, first: u32, points: &[Vec<CloudPoint>]) -> SampleFrame {
-    let scene = simulation.scene;
-    let spread = |i: usize| {
-        let points = &points[i];
-        let part_from_head = scene.part_from_head(first + i as u32);
-        let up = part_from_head.vector(scene.head_from_laser.rotation.z_axis);
-        let n = points.len().max(1) as f64;
-        let mean = points.iter().map(|p| p.position.dot(up)).sum::<f64>() / n;
-        points
-            .iter()
-            .map(|p| (p.position.dot(up) - mean).powi(2))
-            .sum::<f64>()
-    };
-    let shown = (0..points.len())
-        .map(|i| (i, spread(i)))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .map_or(first, |(i, _)| first + i as u32);
-    let sensor = &scene.camera.sensor;
-    let counts = simulation.counts(shown, &simulation.irradiance(shown));
-    let columns = sensor.resolution.x as usize;
-    SampleFrame {
-        number: shown,
-        png: encode_for_eyes(&counts, columns, sensor.max_count()),
-        width: sensor.resolution.x,
-        height: sensor.resolution.y,
-        line: find_peaks(&counts, columns, &simulation.peak_settings())
-            .iter()
-            .map(|p| (p.column as f64 + 0.5, p.row))
-            .collect(),
+/// Brings the cloud onto the CAD if the scene asks for it. Points with a flag move
+/// along, but say nothing.
+fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment> {
+    if !simulation.scene.measure.align {
+        return None;
+    }
+    let sound = points.iter().filter(|p| p.flags.is_empty());
+    let positions: Vec<DVec3> = sound.map(|p| p.position).collect();
+    let fit = best_fit(&simulation.accel, &positions)?;
+    points
+        .par_iter_mut()
+        .for_each(|point| *point = simulation.moved(point, &fit.part_from_measured));
+    Some(fit)
+}
+
+fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path) -> ScanSummary {
+    let columns = scene.camera.sensor.resolution.x;
+    let sound = || points.iter().filter(|p| p.flags.is_empty());
+    let within = sound().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
+    let flags = count_flags(points).into_iter();
+    ScanSummary {
+        scene: scene.path.clone(),
+        frames: frames.len() as u32,
+        columns,
+        measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
+        points: points.len(),
+        deviation: DeviationStatistics::of(sound().map(|p| p.deviation)),
+        deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
+        within_95_percent_interval: match sound().count() {
+            0 => None,
+            n => Some(within.count() as f64 / n as f64),
+        },
+        flags: flags.map(|flag| (flag.name, flag.points)).collect(),
+        alignment: None,
+        coverage: None,
+        cloud: out.join("cloud.ply"),
+        report: out.join("report.html"),
+        pictures: Vec::new(),
     }
 }
 
-fn report<'a>(
-    simulation: &'a Simulation,
-    points: &[CloudPoint],
-    summary: &ScanSummary,
-    frame: SampleFrame,
-    control: &Control,
-) -> Result<Report<'a>> {
-    let scene = simulation.scene;
-    let deviations_um: Vec<f64> = points.iter().map(|p| p.deviation * 1e3).collect();
-    let mut sizes: Vec<f64> = deviations_um.iter().map(|d| d.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    // 98 of 100 points within the colours; a nanometre where all is exact.
-    let limit = sizes
-        .get(sizes.len() * 98 / 100)
-        .map_or(1.0, |&d| d.max(1e-3));
-    let plan = &simulation.plan;
-    Ok(Report {
-        title: "Laser-triangulation scan",
-        facts: vec![
-            ("scene", scene.path.display().to_string()),
-            ("part", format!("{} triangles", scene.mesh.triangles.len())),
-            (
-                "frames",
-                format!("{} (frame {} shown below)", summary.frames, frame.number),
-            ),
-            (
-                "columns with a point",
-                format!("{} of 100", short(summary.measured_share * 100.0)),
-            ),
-            (
-                "1 px along the beam",
-                format!("{} µm", short(1e3 / plan.px_per_mm)),
-            ),
-            (
-                "speckle size",
-                format!("{} px", short(plan.speckle_size_px)),
-            ),
-        ],
-        frame: Some(frame),
-        views: two_views(simulation)
-            .into_iter()
-            .map(|(caption, view)| {
-                control.check()?;
-                let png = cloud_picture(&simulation.accel, points, view, limit * 1e-3, 1000);
-                Ok((caption, png))
-            })
-            .collect::<Result<_>>()?,
-        color_limit_um: limit,
-        deviations_um,
-        statistics: summary.deviation.clone(),
-        plan: plan
-            .effects
-            .iter()
-            .map(|e| {
-                let modelled = if e.modelled { "yes" } else { "no" };
-                [
-                    e.effect.into(),
-                    modelled.into(),
-                    e.method.clone(),
-                    e.why.clone(),
-                ]
-            })
-            .collect(),
-    })
+/// What geometry alone cannot give.
+fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
+    let needs = match scene.laser.fan {
+        _ if !options.geometry_only => return Ok(()),
+        None => "a line laser (laser.line)",
+        Some(_) if scene.write_frames => "a scene without write_frames, as there are none",
+        Some(_) => return Ok(()),
+    };
+    let path = scene.path.display();
+    Err(Error::Usage(format!(
+        "--geometry-only on {path}: expected {needs}"
+    )))
 }
 
-/// The part as the laser sees it in the middle of the path, and obliquely from the
-/// camera's side at its start: two sides of a part that turns.
-fn two_views(simulation: &Simulation) -> [(&'static str, ParallelView); 2] {
-    let scan = &simulation.scene.scan;
-    let middle = simulation.view(scan.frames / 2).part_from_laser.rotation;
-    let start = simulation.view(0);
-    let (laser, camera) = (&start.part_from_laser, &start.part_from_camera);
-    let right = laser.rotation.x_axis;
-    let beam = laser.rotation.z_axis;
-    // Between the camera's way of looking and the line itself, so that walls show.
-    let oblique = (camera.rotation.z_axis - 0.6 * right + 0.3 * beam).normalize();
-    let across = |into: DVec3, hint: DVec3| {
-        let right = (hint - into * hint.dot(into)).normalize();
-        ParallelView {
-            right,
-            down: into.cross(right),
-        }
-    };
-    let captions = match scan.turns() {
-        true => [
-            "along the laser beam in the middle frame",
-            "obliquely, as in the first frame",
-        ],
-        false => ["along the laser beam", "obliquely"],
-    };
-    let views = [across(middle.z_axis, middle.x_axis), across(oblique, right)];
-    [(captions[0], views[0]), (captions[1], views[1])]
+fn seconds(duration: Duration) -> String {
+    format!("{} s", short(duration.as_secs_f64()))
 }

@@ -1,16 +1,15 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
+use super::measure::error_model;
 use crate::accel::{Accel, Clusters};
-use crate::camera::{Camera, DARK_GROUP, DarkCounts};
+use crate::camera::{DARK_GROUP, DarkCounts};
 use crate::error::Result;
-use crate::inspect::cloud::CloudPoint;
-use crate::inspect::deviation::signed_distance;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
+use crate::integrator::{Plan, Sheet, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
-use crate::profile::{Calibration, Peak, PeakSettings, find_peaks};
+use crate::profile::{Calibration, ErrorModel};
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
@@ -31,6 +30,9 @@ pub struct Simulation<'s> {
     clusters: Option<Clusters>,
     /// `None`: dark counts are all the same.
     dark: Option<DarkCounts>,
+    pub(super) errors: ErrorModel,
+    /// `None`: profiles come from images.
+    pub(super) sheet: Option<Sheet>,
 }
 
 /// Tells the keys of groups of dark pixels from those of pixels: no sensor has as
@@ -62,21 +64,38 @@ impl<'s> Simulation<'s> {
 
     /// One that traces every sample, to the same bytes.
     pub fn exhaustive(scene: &'s Scene) -> Result<Simulation<'s>> {
-        let plan = plan(scene);
+        let patterns = scene.speckle.as_ref();
+        Ok(Simulation {
+            speckle: patterns
+                .map(|model| Patterns::new(scene, model))
+                .transpose()?,
+            ..Simulation::measuring(scene)?
+        })
+    }
+
+    /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
+    pub fn geometry(scene: &'s Scene) -> Result<Simulation<'s>> {
+        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
+        Ok(Simulation {
+            sheet: scene.laser.fan.as_ref().map(sheet),
+            ..Simulation::measuring(scene)?
+        })
+    }
+
+    fn measuring(scene: &'s Scene) -> Result<Simulation<'s>> {
         Ok(Simulation {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
-            plan,
+            plan: plan(scene),
             calibration: scene
                 .calibration
                 .clone()
                 .unwrap_or_else(|| perfect_calibration(scene)),
-            speckle: match &scene.speckle {
-                Some(model) => Some(Patterns::new(scene, model)?),
-                None => None,
-            },
+            speckle: None,
             clusters: None,
             dark: DarkCounts::new(&scene.camera.sensor),
+            errors: error_model(scene),
+            sheet: None,
         })
     }
 
@@ -150,42 +169,6 @@ impl<'s> Simulation<'s> {
                 }
             });
         counts
-    }
-
-    pub fn peak_settings(&self) -> PeakSettings {
-        let Scene {
-            measure, camera, ..
-        } = self.scene;
-        PeakSettings {
-            finder: measure.finder,
-            choice: measure.choice,
-            max_count: camera.sensor.saturation_count(),
-            expected_sigma: self.plan.line_half_width_px / 2.0,
-        }
-    }
-
-    /// The profile in an image and its points on the part.
-    pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let Camera { sensor, .. } = &self.scene.camera;
-        let calibration = &self.calibration;
-        let part_from_camera = self.scene.part_from_head(frame) * calibration.head_from_camera;
-        let columns = sensor.resolution.x as usize;
-        let peaks = find_peaks(counts, columns, &self.peak_settings());
-        let points = peaks
-            .iter()
-            .filter_map(|peak| {
-                let position = part_from_camera.point(calibration.point(peak)?);
-                Some(CloudPoint {
-                    position,
-                    deviation: signed_distance(&self.accel, position, part_from_camera.translation),
-                    intensity: peak.intensity,
-                    frame,
-                    column: peak.column,
-                    flags: peak.flags,
-                })
-            })
-            .collect();
-        (peaks, points)
     }
 }
 

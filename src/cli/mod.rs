@@ -6,6 +6,7 @@ mod peaks;
 mod render;
 mod scan;
 mod speckle;
+mod uncertainty;
 mod wave;
 
 use crate::batch::Coverage;
@@ -55,6 +56,8 @@ enum Command {
     Wave(wave::Arguments),
     /// Chart the errors of each peak finder, or run all on an image of your own
     Peaks(peaks::Arguments),
+    /// Hold predicted uncertainties against the scatter over many seeds
+    Uncertainty(uncertainty::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
 }
@@ -171,6 +174,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),
+        Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -2,6 +2,7 @@ use super::{CoverageArguments, Output, STOP, SceneArguments};
 use crate::batch::{self, Control, ScanOptions};
 use crate::error::Result;
 use crate::inspect::chart::short;
+use crate::inspect::formats::Format;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -17,9 +18,32 @@ pub struct Arguments {
     /// Keep the frames that an earlier run in this folder finished
     #[arg(long)]
     resume: bool,
+    /// No images: profiles from laser rays and what the camera sees of them
+    #[arg(long)]
+    geometry_only: bool,
+    /// Also write cloud.csv, cloud.e57, profiles.npy
+    #[arg(long, value_name = "FORMAT", value_delimiter = ',')]
+    also: Vec<Also>,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Also {
+    Csv,
+    E57,
+    Npy,
+}
+
+impl Also {
+    fn format(self) -> Format {
+        match self {
+            Also::Csv => Format::Csv,
+            Also::E57 => Format::E57,
+            Also::Npy => Format::Npy,
+        }
+    }
 }
 
 fn frames(text: &str) -> std::result::Result<Range<u32>, String> {
@@ -35,6 +59,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         coverage: arguments.coverage.coverage(),
         frames: arguments.frames,
         resume: arguments.resume,
+        geometry_only: arguments.geometry_only,
+        also: arguments.also.iter().map(|also| also.format()).collect(),
     };
     let count = options
         .frames
@@ -50,19 +76,22 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let summary = summary?;
     let deviation = match &summary.deviation {
         Some(d) => format!(
-            "{} points, deviation from CAD: mean {} µm, standard deviation {} µm",
+            "{} points, {} of them without a flag; their deviation from CAD: mean {} µm, standard \
+             deviation {} µm",
+            summary.points,
             d.points,
             short(d.mean_um),
             short(d.std_um)
         ),
         None => "no point was measured: no line was found in any frame".to_owned(),
     };
-    let text = format!(
-        "{deviation}\nopen the report:  {}\nsensor frame:     {}\ncloud over part:  {}\npoint cloud:      {}",
+    let mut text = format!(
+        "{deviation}\nopen the report:  {}\npoint cloud:      {}",
         summary.report.display(),
-        summary.pictures[0].display(),
-        summary.pictures[1].display(),
         summary.cloud.display()
     );
+    for picture in &summary.pictures {
+        text += &format!("\npicture:          {}", picture.display());
+    }
     output.result(&summary, &text)
 }

@@ -47,7 +47,9 @@ pub struct Scanned<'a> {
     pub accel: &'a Accel<'a>,
     pub laser: &'a Laser,
     pub camera: &'a Camera,
+    /// Of the frames from `first_frame` on.
     pub poses: &'a [HeadPose],
+    pub first_frame: u32,
     /// In order of frames, then columns.
     pub points: &'a [CloudPoint],
 }
@@ -77,10 +79,19 @@ const MOST_LOOKS: usize = 400_000_000;
 pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
     let wanted = MOST_LOOKS / scanned.poses.len().max(1);
     let places = spread(scanned.accel, wanted.clamp(FEWEST_SAMPLES, MOST_SAMPLES))?;
+    // Distance from the laser plane as n·p − c.
+    let sheets: Vec<(DVec3, f64)> = scanned
+        .poses
+        .iter()
+        .map(|pose| {
+            let n = pose.part_from_laser.rotation.y_axis;
+            (n, n.dot(pose.part_from_laser.translation))
+        })
+        .collect();
     let places_with_fate: Vec<(DVec3, Fate)> = places
         .points
         .par_iter()
-        .map(|&(p, normal)| (p, scanned.fate(p, normal)))
+        .map(|&(p, normal)| (p, scanned.fate(&sheets, p, normal)))
         .collect();
     let samples = places_with_fate.len();
     let share = |fate: Fate| {
@@ -137,12 +148,11 @@ fn spread(accel: &Accel, n: usize) -> Option<Places> {
 }
 
 impl Scanned<'_> {
-    fn fate(&self, p: DVec3, normal: DVec3) -> Fate {
-        let sheet = |frame: usize| self.poses[frame].part_from_laser.inverse().point(p).y;
+    fn fate(&self, sheets: &[(DVec3, f64)], p: DVec3, normal: DVec3) -> Fate {
         let mut best = Fate::OutsideScan;
         let mut before: Option<f64> = None;
-        for frame in 0..self.poses.len() {
-            let here = sheet(frame);
+        for (frame, (n, c)) in sheets.iter().enumerate() {
+            let here = n.dot(p) - c;
             // Crossed since the frame before: the nearer of the two saw it.
             if let Some(there) = before.filter(|there| (there < &0.0) != (here < 0.0)) {
                 let nearer = if there.abs() < here.abs() {
@@ -205,6 +215,7 @@ impl Scanned<'_> {
     /// column.
     fn has_point(&self, p: DVec3, frame: usize, column: f64, radius: f64) -> bool {
         let first_column = (column - 1.5).floor().max(0.0) as u32;
+        let frame = self.first_frame as usize + frame;
         (frame.saturating_sub(1)..=frame + 1).any(|frame| {
             let from = self
                 .points

@@ -5,17 +5,18 @@ use crate::math::DVec3;
 use serde::Serialize;
 
 /// Signed distance (mm) from `point` to the nearest point of the mesh, positive
-/// on the side from which `eye` sees the surface there: a mesh's own winding
-/// need not be right.
-pub fn signed_distance(accel: &Accel, point: DVec3, eye: DVec3) -> f64 {
+/// on the side from which `eye` sees the surface there (a mesh's own winding
+/// need not be right), and the unit normal there on that side: along it an error of
+/// the point is one of the distance.
+pub fn signed_distance(accel: &Accel, point: DVec3, eye: DVec3) -> (f64, DVec3) {
     let nearest = accel.nearest(point);
     let corners = accel.mesh().triangle(nearest.triangle as usize);
     let outward = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
-    if outward.dot(point - nearest.point) < 0.0 {
-        -nearest.distance
-    } else {
-        nearest.distance
-    }
+    let sign = match outward.dot(point - nearest.point) < 0.0 {
+        true => -1.0,
+        false => 1.0,
+    };
+    (sign * nearest.distance, outward)
 }
 
 /// Statistics of signed deviations, µm.
@@ -71,8 +72,10 @@ mod tests {
             let accel = Accel::build(&mesh, 1).unwrap();
             let above = DVec3::new(0.2, 0.2, 0.01);
             let eye = DVec3::new(0.0, 0.0, 50.0);
-            assert!((signed_distance(&accel, above, eye) - 0.01).abs() < 1e-12);
-            assert!((signed_distance(&accel, above, -eye) + 0.01).abs() < 1e-12);
+            let (distance, normal) = signed_distance(&accel, above, eye);
+            assert!((distance - 0.01).abs() < 1e-12 && (normal - DVec3::Z).length() < 1e-12);
+            let (distance, normal) = signed_distance(&accel, above, -eye);
+            assert!((distance + 0.01).abs() < 1e-12 && (normal + DVec3::Z).length() < 1e-12);
         }
     }
 

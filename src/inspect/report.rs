@@ -73,10 +73,22 @@ const FLAGS: [(Flags, &str, &str); 7] = [
         "double",
         "the column holds another line: a second surface, or a ghost",
     ),
-    (Flags::WIDE, "wide", "more than twice as wide as the frame's lines"),
-    (Flags::WEAK, "weak", "much fainter than the frame's lines, or near the noise"),
+    (
+        Flags::WIDE,
+        "wide",
+        "more than twice as wide as the frame's lines",
+    ),
+    (
+        Flags::WEAK,
+        "weak",
+        "much fainter than the frame's lines, or near the noise",
+    ),
     (Flags::BORDER, "border", "cut off by the sensor's edge"),
-    (Flags::EDGE, "edge", "next to an occlusion or a jump, or cut off along it"),
+    (
+        Flags::EDGE,
+        "edge",
+        "next to an occlusion or a jump, or cut off along it",
+    ),
     (
         Flags::OUTSIDE,
         "outside",
@@ -138,7 +150,11 @@ impl Report {
             coverage_section(coverage, &mut html);
         }
         html.push_str("<h2>Sensor and part</h2>");
-        figures(&mut html, "wide", self.setup.iter().map(|(c, svg)| (*c, svg.as_str())));
+        figures(
+            &mut html,
+            "wide",
+            self.setup.iter().map(|(c, svg)| (*c, svg.as_str())),
+        );
         html.push_str(
             "<p>Red: laser. Blue: the camera's field of view. Green: where it meets the laser \
              plane. Dashed: the laser's way over the part.</p>",
@@ -157,7 +173,11 @@ impl Report {
             return;
         };
         let histograms = self.histograms.iter();
-        figures(html, "wide", histograms.map(|(c, svg)| (c.as_str(), svg.as_str())));
+        figures(
+            html,
+            "wide",
+            histograms.map(|(c, svg)| (c.as_str(), svg.as_str())),
+        );
         let _ = write!(
             html,
             "<table><tr><th>points</th><td>{}</td></tr>\
@@ -176,9 +196,7 @@ impl Report {
     }
 
     fn flag_table(&self, html: &mut String) {
-        html.push_str(
-            "<h2>Flags</h2><table><tr><th>flag</th><th>points</th><th>meaning</th></tr>",
-        );
+        html.push_str("<h2>Flags</h2><table><tr><th>flag</th><th>points</th><th>meaning</th></tr>");
         for flag in &self.flags {
             let _ = write!(
                 html,
@@ -219,11 +237,7 @@ impl Report {
     }
 }
 
-fn figures<'a>(
-    html: &mut String,
-    class: &str,
-    content: impl Iterator<Item = (&'a str, &'a str)>,
-) {
+fn figures<'a>(html: &mut String, class: &str, content: impl Iterator<Item = (&'a str, &'a str)>) {
     let _ = write!(html, "<div class=\"views {class}\">");
     for (caption, svg) in content {
         let _ = write!(
@@ -245,7 +259,11 @@ fn table(html: &mut String, title: &str, rows: &[(&str, String)]) {
 
 impl ColorMap {
     fn section(&self, html: &mut String) {
-        let _ = write!(html, "<h2>{}</h2>{}<p>{}</p>", self.title, self.bar, self.legend);
+        let _ = write!(
+            html,
+            "<h2>{}</h2>{}<p>{}</p>",
+            self.title, self.bar, self.legend
+        );
         html.push_str("<div class=\"views\">");
         for (caption, png) in &self.views {
             let _ = write!(
@@ -305,7 +323,10 @@ fn coverage_section(coverage: &SurfaceCoverage, html: &mut String) {
         );
     }
     let density = coverage.points_per_mm2.map_or(String::new(), |density| {
-        format!(" Where it was measured it has {} points per mm².", short(density))
+        format!(
+            " Where it was measured it has {} points per mm².",
+            short(density)
+        )
     });
     let _ = write!(
         html,

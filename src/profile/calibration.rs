@@ -221,6 +221,11 @@ impl Calibration {
         sum
     }
 
+    /// Whether all parameters are taken as known.
+    pub fn is_exact(&self) -> bool {
+        (0..PARAMETERS.len()).all(|i| self.covariance[i][i] == 0.0)
+    }
+
     /// Squared distance of `other` in units of this calibration's uncertainty,
     /// dᵀ·C⁻¹·d over the parameters not taken as known, and their number n. If
     /// `other` is the truth and the covariance right it is distributed as χ² with n

@@ -68,7 +68,7 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
             flags,
         });
     }
-    compare(&mut peaks, columns, settings.expected_sigma);
+    compare_neighbours(&mut peaks, columns, settings.expected_sigma);
     peaks
 }
 
@@ -129,7 +129,8 @@ fn chosen<'a>(
         background: found.background,
         top,
         height,
-        sigma: half_height_sigma(column, top, mean),
+        // Speckle breaks a line up: the top grain's width is not the line's.
+        sigma: half_height_sigma(column, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
     (line, tops.len() > 1)
@@ -164,7 +165,7 @@ fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
 }
 
 /// Sets the flags that compare a line with its neighbours and with the others.
-fn compare(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
+pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
     let height = median(peaks.iter().map(|p| p.height));
     let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
     let touching = |a: &Peak, b: &Peak| {

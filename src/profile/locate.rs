@@ -182,7 +182,7 @@ fn log_parabola(line: &Line) -> Option<Located> {
 /// Half length of the derivative's filter in line widths. The noise of the zero
 /// crossing of a Gaussian line goes as √n/(1 - exp(-n²/2)) with n the half length
 /// in σ: least at 2.2 and flat about it.
-const FILTER_SIGMAS: f64 = 2.0;
+pub(super) const FILTER_SIGMAS: f64 = 2.0;
 
 /// Zero crossing of g(i) = Σ_{k=1..n} (c[i+k] - c[i-k]) (Blais & Rioux 1986, for any
 /// length), linear between pixels; the steepest, if speckle gives several. Beyond the

@@ -2,7 +2,8 @@
 //! to millimetres. Sees images and a calibration, never the scene.
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
-//! what is doubtful about them, `locate` and `fit` where each lies in its pixels.
+//! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
+//! `uncertainty` how surely.
 
 mod adjust;
 mod background;
@@ -14,12 +15,17 @@ mod locate;
 mod normal;
 mod peak;
 mod residual_picture;
+mod uncertainty;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
 pub use background::FALSE_PEAKS_PER_FRAME;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use find::{
-    CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, find_peaks,
+    CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO,
+    compare_neighbours, find_peaks,
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use residual_picture::residual_picture;
+pub use uncertainty::{
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, SIGMAS_PX, SpeckleGrain,
+};

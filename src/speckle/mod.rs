@@ -26,3 +26,4 @@ pub mod wave_correlation;
 pub mod wave_motion;
 pub mod wave_patch;
 pub mod wave_plot;
+pub mod wave_spot;

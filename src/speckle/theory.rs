@@ -54,6 +54,25 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
+/// Covariance of the light of two square pixels of pitch p = q·h that lie `lag`
+/// pixels apart along the pupil's height, for fully developed speckle of mean 1:
+/// ∬Λ(x)Λ(y − lag)·μ²(qx, qy) dx dy; at no lag the square of
+/// [`integrated_contrast`]. By the same quadrature; past 16 grains a pixel it is
+/// that of 16, falling as 1/q², which is 2 % of it off.
+pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
+    let fine = q.min(16.0);
+    let nodes = gauss_legendre((2.0 * fine).ceil().max(2.0) as usize);
+    let along = nodes.iter().flat_map(|&(y, w)| [(y, w), (-y, w)]);
+    let covariance: f64 = along
+        .flat_map(|y| nodes.iter().map(move |&x| (x, y)))
+        .map(|((x, wx), (y, wy))| {
+            let mu = aperture.field_correlation(fine * DVec2::new(x, y + lag));
+            2.0 * wx * wy * (1.0 - x) * (1.0 - y.abs()) * mu * mu
+        })
+        .sum();
+    covariance * (fine / q).powi(2)
+}
+
 /// Contrast of the mean of n × n point samples spread evenly over a pixel of
 /// pitch p = q·h; tends to [`integrated_contrast`] from above.
 pub fn sampled_contrast(aperture: Aperture, q: f64, n: usize) -> f64 {
@@ -144,6 +163,32 @@ mod tests {
         for (q, contrast) in known {
             let c = integrated_contrast(Aperture::Circle, q);
             assert!((c - contrast).abs() < 6e-4, "q = {q}: {c}");
+        }
+    }
+
+    /// At no lag it is the contrast; over all lags it adds up to the covariance of
+    /// a whole line of pixels, q⁻²·∫Λ(x)∫μ²(qx, y) dy dx·q: for a square pupil, whose
+    /// ∫sinc² is 1, q⁻¹·∫Λ(x)·sinc²(qx) dx, by the same nodes. What lies beyond 200
+    /// pixels is less than 2/(π²·200·q²).
+    #[test]
+    fn the_covariance_of_pixels_adds_up() {
+        for aperture in [Aperture::Circle, Aperture::Square] {
+            for q in [0.3, 1.0, 3.0] {
+                let contrast = integrated_contrast(aperture, q);
+                let none = pixel_covariance(aperture, q, 0.0);
+                assert!((none / contrast.powi(2) - 1.0).abs() < 1e-9, "{q}");
+            }
+        }
+        for q in [0.5, 1.0] {
+            let sum: f64 = (-200..=200)
+                .map(|lag| pixel_covariance(Aperture::Square, q, lag as f64))
+                .sum();
+            let across: f64 = gauss_legendre(4)
+                .iter()
+                .map(|&(x, w)| 2.0 * w * (1.0 - x) * sinc(q * x).powi(2))
+                .sum();
+            let beyond = 2.0 / (200.0 * (std::f64::consts::PI * q).powi(2));
+            assert!((sum - across / q).abs() < beyond + 1e-6, "{q}: {sum}");
         }
     }
 

@@ -94,7 +94,7 @@ pub const MAY_IMPORT: &[(&str, &[&str])] = &[
         ],
     ),
     // A measurement must not read its own ground truth: neither scene nor mesh.
-    ("profile", &["camera", "math", "error"]),
+    ("profile", &["camera", "speckle", "math", "error"]),
     (
         "integrator",
         &[

@@ -1,0 +1,150 @@
+//! From a frame's image, or from geometry alone, to points on the part.
+
+use super::Simulation;
+use crate::camera::Camera;
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::deviation::signed_distance;
+use crate::integrator::LinePoint;
+use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::profile::{
+    ErrorModel, Flags, Peak, PeakSettings, SpeckleGrain, compare_neighbours, find_peaks,
+};
+use crate::scene::Scene;
+
+impl Simulation<'_> {
+    pub fn peak_settings(&self) -> PeakSettings {
+        let Scene {
+            measure, camera, ..
+        } = self.scene;
+        PeakSettings {
+            finder: measure.finder,
+            choice: measure.choice,
+            max_count: camera.sensor.saturation_count(),
+            expected_sigma: self.plan.line_half_width_px / 2.0,
+        }
+    }
+
+    /// Lines of an image and the standard uncertainty of their rows, px.
+    pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<f64>) {
+        let columns = self.scene.camera.sensor.resolution.x as usize;
+        let mut peaks = find_peaks(counts, columns, &self.peak_settings());
+        let uncertainties = self.errors.row_uncertainties(&mut peaks);
+        (peaks, uncertainties)
+    }
+
+    /// The profile in an image and its points on the part.
+    pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, uncertainties) = self.peaks(counts);
+        let points = self.points(frame, &peaks, &uncertainties);
+        (peaks, points)
+    }
+
+    /// The profile that an ideal image would have, from laser rays and what the
+    /// camera sees of them, and its points. The stated uncertainty is still that of
+    /// the peaks of real images. Empty but in [`Simulation::geometry`].
+    pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let Some(sheet) = &self.sheet else {
+            return (Vec::new(), Vec::new());
+        };
+        let line = sheet.profile(&self.view(frame));
+        let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
+        let settings = self.peak_settings();
+        let columns = self.scene.camera.sensor.resolution.x as usize;
+        compare_neighbours(&mut peaks, columns, settings.expected_sigma);
+        let uncertainties = self.errors.row_uncertainties(&mut peaks);
+        let points = self.points(frame, &peaks, &uncertainties);
+        (peaks, points)
+    }
+
+    /// The peak whose counts are what the sensor would expect of a line as wide as
+    /// the plan has it.
+    fn ideal_peak(&self, point: &LinePoint) -> Peak {
+        let Camera { sensor, .. } = &self.scene.camera;
+        let pixel = DVec2::new(point.column as f64 + 0.5, point.row);
+        let radiance = self.scene.surface.radiance(point.irradiance);
+        let irradiance = radiance * self.scene.camera.pupil_solid_angle(pixel);
+        let wavelength = self.scene.laser.beam.wavelength;
+        let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
+        let height = electrons.min(sensor.full_well_e) * sensor.gain_dn_per_e;
+        let sigma = self.plan.line_half_width_px / 2.0;
+        let dark = sensor
+            .noise
+            .map_or(0.0, |n| n.read_noise_e * sensor.gain_dn_per_e);
+        Peak {
+            column: point.column,
+            row: point.row,
+            intensity: height * sigma * std::f64::consts::TAU.sqrt(),
+            height,
+            sigma,
+            noise: dark.hypot(1.0 / 12f64.sqrt()),
+            flags: Flags::empty(),
+        }
+    }
+
+    /// Points of a frame's peaks, whose rows have these standard uncertainties, px.
+    fn points(&self, frame: u32, peaks: &[Peak], uncertainties: &[f64]) -> Vec<CloudPoint> {
+        let part_from_head = self.scene.part_from_head(frame);
+        let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let measured = peaks.iter().zip(uncertainties);
+        let points = measured.filter_map(|(peak, &row_sigma)| {
+            let (in_head, covariance) = self.point(peak, row_sigma)?;
+            let position = part_from_head.point(in_head);
+            let (deviation, normal) = signed_distance(&self.accel, position, eye);
+            let normal = part_from_head.inverse().vector(normal);
+            Some(CloudPoint {
+                position,
+                deviation,
+                sigma: trace(&covariance).max(0.0).sqrt(),
+                deviation_sigma: normal.dot(covariance * normal).max(0.0).sqrt(),
+                intensity: peak.intensity,
+                frame,
+                column: peak.column,
+                flags: peak.flags,
+            })
+        });
+        points.collect()
+    }
+
+    /// A peak's point and its covariance, head's frame, mm and mm².
+    fn point(&self, peak: &Peak, row_sigma: f64) -> Option<(DVec3, DMat3)> {
+        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let jacobian = self.calibration.point_jacobian(pixel)?;
+        let row = jacobian.by_pixel[1] * row_sigma;
+        let from_row = DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+        let known = self.calibration.is_exact();
+        let covariance = match known {
+            true => from_row,
+            false => from_row + self.calibration.point_covariance(&jacobian),
+        };
+        Some((jacobian.point, covariance))
+    }
+
+    /// The cloud moved by a rigid motion, its deviations taken anew.
+    pub(super) fn moved(&self, point: &CloudPoint, motion: &Rigid) -> CloudPoint {
+        let part_from_head = self.scene.part_from_head(point.frame);
+        let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let position = motion.point(point.position);
+        CloudPoint {
+            position,
+            deviation: signed_distance(&self.accel, position, eye).0,
+            ..*point
+        }
+    }
+}
+
+fn trace(m: &DMat3) -> f64 {
+    m.x_axis.x + m.y_axis.y + m.z_axis.z
+}
+
+/// What data sheets of the scene's laser and camera tell of the errors of peaks.
+pub(super) fn error_model(scene: &Scene) -> ErrorModel {
+    let Camera { sensor, .. } = &scene.camera;
+    let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
+    let size = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    let grain = scene.speckle.map(|model| SpeckleGrain {
+        size_px: size / sensor.pixel_pitch,
+        contrast: model.coherence.contrast(),
+        aperture: model.aperture,
+    });
+    ErrorModel::new(scene.measure.finder, shot, grain)
+}

@@ -1,0 +1,40 @@
+use super::{Output, STOP, SceneArguments};
+use crate::batch::{self, Control};
+use crate::error::Result;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Frame of the scan, from 0
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    frame: u32,
+    /// Seeds of speckle and noise, 2 or more, from the scene's own on
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u64).range(2..100_000))]
+    seeds: u64,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load()?;
+    let bar = output.progress(arguments.seeds, "seeds");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        stop: &STOP,
+    };
+    let Arguments {
+        frame,
+        seeds,
+        output: folder,
+        ..
+    } = &arguments;
+    let summary = batch::monte_carlo(scene, *frame, *seeds, folder, &control);
+    bar.finish_and_clear();
+    let summary = summary?;
+    let [first, second] = summary.headline();
+    let text = format!("{first}\n{second}\n{}\n", summary.picture.display());
+    output.result(&summary, &text)
+}

@@ -1,0 +1,254 @@
+//! How surely the row of a line is known, from what data sheets tell of sensor and
+//! light: speckle, shot noise, background noise, rounding.
+
+use super::{Flags, Peak, PeakFinder};
+use crate::speckle::pattern::Aperture;
+use crate::speckle::theory::pixel_covariance;
+use std::f64::consts::{PI, SQRT_2};
+
+/// Speckle of the light on the sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpeckleGrain {
+    /// Minimal speckle size h = λ·d_PI/D, px.
+    pub size_px: f64,
+    /// Contrast of the light before pixels integrate it; below 1 if it is
+    /// depolarised or of several wavelengths.
+    pub contrast: f64,
+    pub aperture: Aperture,
+}
+
+/// Greatest relative variance of a column's light, 1/M for M independent grains
+/// across the line, at which an error is taken as normal and of first order.
+pub const LARGEST_LIGHT_VARIANCE: f64 = 0.2;
+/// The same of a pixel's light for finders that take its shape as a Gaussian's, not
+/// its centre of gravity.
+pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
+/// Narrowest and widest line, px: below, the finders' bias is not known to be small.
+pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
+
+/// Columns to either side whose lines tell how wide a line is.
+const NEIGHBOURS: usize = 32;
+const NODES: usize = 96;
+
+/// Predicts the standard uncertainty of the rows of peaks.
+///
+/// To first order a finder moves by Σ w_i·δ_i if the light of pixel i, of Gaussian
+/// share G_i, errs by δ_i; w is [`influence`]. Then, N being the counts of the line,
+/// K counts an electron and s the background's noise (read noise and rounding),
+///
+/// ```text
+/// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
+/// ```
+///
+/// with ρ the covariance of the light of two square pixels
+/// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
+/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². The
+/// ratio a centroid is brings its own second-order terms; they add up to
+/// −0.02·h/σ of the variance.
+///
+/// Valid for a Gaussian line of σ = 0.7 … 64 px that no flag speaks against, whose
+/// columns hold five grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other
+/// than the centroid if speckle is all but averaged out
+/// ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+#[derive(Debug, Clone)]
+pub struct ErrorModel {
+    finder: PeakFinder,
+    gain_dn_per_e: f64,
+    /// Relative variance of the light of a pixel.
+    pixel_variance: f64,
+    /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
+    nodes: Vec<Variances>,
+}
+
+/// Variances of the row of a line of one width, px².
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Variances {
+    speckle: f64,
+    /// Over K/N.
+    shot: f64,
+    /// Over (s/N)².
+    white: f64,
+    /// Relative, of the line's light, from speckle.
+    light: f64,
+}
+
+impl ErrorModel {
+    /// `gain_dn_per_e`: counts per electron, 0 for light without shot noise.
+    pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
+        let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
+        let (least, most) = SIGMAS_PX;
+        let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+        ErrorModel {
+            finder,
+            gain_dn_per_e,
+            pixel_variance: covariance[0],
+            nodes: (0..NODES)
+                .map(|i| Variances::of(finder, sigma(i), &covariance))
+                .collect(),
+        }
+    }
+
+    /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
+    /// peaks for which it is not valid. `peaks` are those of one frame, in the order
+    /// of columns; a line's width is that of its neighbourhood, as one column's is
+    /// mostly speckle.
+    pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
+        let widths = line_widths(peaks);
+        let shape =
+            self.finder == PeakFinder::Centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE;
+        let of = |(peak, sigma): (&mut Peak, f64)| {
+            let at = self.at(sigma);
+            let n = peak.intensity;
+            let variance = at.speckle
+                + at.shot * self.gain_dn_per_e / n
+                + at.white * (peak.noise / n).powi(2)
+                + bias(self.finder, sigma).powi(2) / 3.0;
+            let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
+                && (SIGMAS_PX.0..=SIGMAS_PX.1).contains(&sigma)
+                && at.light <= LARGEST_LIGHT_VARIANCE
+                && shape;
+            peak.flags.set(Flags::OUTSIDE, !inside);
+            variance.sqrt()
+        };
+        peaks.iter_mut().zip(widths).map(of).collect()
+    }
+
+    fn at(&self, sigma: f64) -> Variances {
+        let (least, most) = SIGMAS_PX;
+        let place = (sigma / least).max(1.0).ln() / (most / least).ln() * (NODES - 1) as f64;
+        let i = (place as usize).min(NODES - 2);
+        let share = (place - i as f64).min(1.0);
+        let (a, b) = (self.nodes[i], self.nodes[i + 1]);
+        let between = |of: fn(&Variances) -> f64| of(&a) + share * (of(&b) - of(&a));
+        Variances {
+            speckle: between(|v| v.speckle),
+            shot: between(|v| v.shot),
+            white: between(|v| v.white),
+            light: between(|v| v.light),
+        }
+    }
+}
+
+/// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
+/// a thousandth of it all: ∫μ² beyond r falls as (h/r)²/60.
+fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
+    let lags = (8.0 * grain.size_px).ceil().min(512.0) as usize + 1;
+    let covariance = |lag| {
+        grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
+    };
+    (0..=lags).map(covariance).collect()
+}
+
+impl Variances {
+    /// Mean over a line at a pixel's middle and one at its edge.
+    fn of(finder: PeakFinder, sigma: f64, covariance: &[f64]) -> Variances {
+        let mut sum = Variances::default();
+        for row in [0.0, 0.5] {
+            let pixels = influence(finder, sigma, row);
+            for &(light, weight) in &pixels {
+                sum.shot += weight * weight * light / 2.0;
+                sum.white += weight * weight / 2.0;
+            }
+            for (lag, c) in covariance.iter().enumerate().take(pixels.len()) {
+                // Both signs of a lag.
+                let c = if lag == 0 { c / 2.0 } else { *c };
+                for (a, b) in pixels.iter().zip(&pixels[lag..]) {
+                    sum.speckle += c * a.0 * a.1 * b.0 * b.1;
+                    sum.light += c * a.0 * b.0;
+                }
+            }
+        }
+        sum
+    }
+}
+
+/// Light and weight w of each pixel for a Gaussian line of `sigma` px and unit light
+/// at `row`, 0 or ½; pixels cover [i, i+1] on both sides of it alike.
+///
+/// Centroid: w = y within its window. Least squares: G'/ΣG'². Log-parabola, the
+/// upper half weighted by its squared counts: s²·G·y/ΣG²y². Zero crossing: the
+/// filter over its slope there.
+fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f64)> {
+    let reach = (5.0 * sigma).ceil() as i64 + 2;
+    let last = if row == 0.0 { reach - 1 } else { reach };
+    let edge = |i: i64| (i as f64 - row) / sigma;
+    let share = |i: i64| 0.5 * (libm::erf(edge(i + 1) / SQRT_2) - libm::erf(edge(i) / SQRT_2));
+    let density = |i: i64| (-0.5 * edge(i).powi(2)).exp() / ((2.0 * PI).sqrt() * sigma);
+    let middle = |i: i64| i as f64 + 0.5 - row;
+    let weights: Vec<f64> = match finder {
+        PeakFinder::Centroid => {
+            let half = (super::locate::WINDOW_SIGMAS * sigma).max(1.0);
+            let inside = |i| (half + 0.5 - middle(i).abs()).clamp(0.0, 1.0);
+            (-reach..=last).map(|i| middle(i) * inside(i)).collect()
+        }
+        PeakFinder::GaussianFit => {
+            let slope = |i| density(i) - density(i + 1);
+            let squares: f64 = (-reach..=last).map(|i| slope(i).powi(2)).sum();
+            (-reach..=last).map(|i| slope(i) / squares).collect()
+        }
+        PeakFinder::LogParabola => {
+            let top = share(if row == 0.0 { -1 } else { 0 });
+            let used = |i: &i64| share(*i) >= 0.5 * top || middle(*i).abs() < 1.6;
+            let moment = |i| share(i) * middle(i);
+            let squares: f64 = (-reach..=last)
+                .filter(used)
+                .map(|i| moment(i).powi(2))
+                .sum();
+            let scale = (sigma * sigma + 1.0 / 12.0) / squares;
+            let weight = |i| if used(&i) { scale * moment(i) } else { 0.0 };
+            (-reach..=last).map(weight).collect()
+        }
+        PeakFinder::DerivativeZero => {
+            let n = (super::locate::FILTER_SIGMAS * sigma).round().max(1.0) as i64;
+            let filter = |i: i64, at: i64| match i - at {
+                k if k.abs() <= n => k.signum() as f64,
+                _ => 0.0,
+            };
+            let derivative =
+                |at| -> f64 { (-reach..=last).map(|i| share(i) * filter(i, at)).sum() };
+            let slope = derivative(-1) - derivative(0);
+            let other = if row == 0.0 { -1 } else { 0 };
+            let mean = |i| (filter(i, other) + filter(i, 0)) / 2.0;
+            (-reach..=last).map(|i| mean(i) / slope).collect()
+        }
+    };
+    (-reach..=last).map(share).zip(weights).collect()
+}
+
+/// Greatest error on an ideal line of 0.7 px and more: `tests/peaks.rs`.
+fn bias(finder: PeakFinder, sigma: f64) -> f64 {
+    match finder {
+        PeakFinder::Centroid => 0.002,
+        PeakFinder::LogParabola => 0.005,
+        PeakFinder::GaussianFit => 1e-4,
+        PeakFinder::DerivativeZero => 0.07 / (sigma * sigma) + 1e-3,
+    }
+}
+
+/// Width of each line: root mean square of the σ of the lines without flags among
+/// the [`NEIGHBOURS`]; its own without any. The mean of a column's variance about
+/// its own centroid is the line's, to first order in speckle: what the centroid's
+/// scatter takes off, the ratio adds. A median would be some per cent short.
+fn line_widths(peaks: &[Peak]) -> Vec<f64> {
+    let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
+    let mut sums = vec![(0.0, 0usize); columns + 1];
+    for peak in peaks {
+        if peak.flags.difference(Flags::OUTSIDE).is_empty() {
+            sums[peak.column as usize + 1] = (peak.sigma.powi(2), 1);
+        }
+    }
+    for i in 0..columns {
+        sums[i + 1].0 += sums[i].0;
+        sums[i + 1].1 += sums[i].1;
+    }
+    let width = |peak: &Peak| {
+        let column = peak.column as usize;
+        let from = sums[column.saturating_sub(NEIGHBOURS)];
+        let to = sums[(column + NEIGHBOURS + 1).min(columns)];
+        match to.1 - from.1 {
+            0 => peak.sigma,
+            n => ((to.0 - from.0) / n as f64).max(0.0).sqrt(),
+        }
+    };
+    peaks.iter().map(width).collect()
+}
