@@ -50,7 +50,7 @@ struct Patterns {
 
 enum Anchor {
     /// Nothing turns: exact over any length.
-    Pose(PoseAnchor),
+    Pose(Box<PoseAnchor>),
     Path(PathAnchor),
 }
 
@@ -242,7 +242,8 @@ fn anchor(scene: &Scene) -> Anchor {
             .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
             .unwrap_or(DVec3::ZERO),
     };
-    Anchor::Pose(PoseAnchor::new(view, first.inverse().rotation, direction))
+    let anchor = PoseAnchor::new(view, first.inverse().rotation, direction);
+    Anchor::Pose(Box::new(anchor))
 }
 
 /// The view of `point` (head's frame) on a surface across the beam; by default the

@@ -26,13 +26,20 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
         () => {
             let found = header.iter().collect::<Vec<_>>().join(",");
             let expected = format!("the header {} or {}", EULER.join(","), QUATERNION.join(","));
-            let line = Place::Line(line(&header));
-            return Err(InputError::new(file, line, format!("{found:?}"), expected).into());
+            let place = place(bytes, &header);
+            return Err(InputError::new(file, place, format!("{found:?}"), expected).into());
         }
     };
     let poses = reader
         .records()
-        .map(|record| pose(file, columns, &record.map_err(|e| unreadable(file, &e))?))
+        .map(|record| {
+            let record = record.map_err(|e| unreadable(file, &e))?;
+            pose(columns, &record).map_err(|(column, found, expected)| {
+                let mut error = InputError::new(file, place(bytes, &record), found, expected);
+                error.key = column.map(str::to_owned);
+                error.into()
+            })
+        })
         .collect::<Result<Vec<_>>>()?;
     if poses.is_empty() || poses.len() > u32::MAX as usize {
         let found = format!("{} poses", poses.len());
@@ -42,8 +49,14 @@ pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
     Ok(poses)
 }
 
-fn line(record: &StringRecord) -> usize {
-    record.position().map_or(1, |at| at.line() as usize)
+/// Where a record stands. The reader's own position is before the blank lines that it
+/// skips.
+fn place(bytes: &[u8], record: &StringRecord) -> Place {
+    let start = record.position().map_or(0, |at| at.byte() as usize);
+    let blank = |b: &&u8| matches!(b, b'\r' | b'\n');
+    let skipped = bytes[start..].iter().take_while(blank).count();
+    let before = &bytes[..start + skipped];
+    Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
 }
 
 fn unreadable(file: &Path, error: &csv::Error) -> Error {
@@ -58,12 +71,14 @@ fn unreadable(file: &Path, error: &csv::Error) -> Error {
     InputError::new(file, place, found, "CSV text").into()
 }
 
-fn pose(file: &Path, columns: &[&str], record: &StringRecord) -> Result<Rigid> {
-    let place = Place::Line(line(record));
+/// A line's pose, or the column at fault, what it holds and what was expected.
+fn pose<'a>(
+    columns: &[&'a str],
+    record: &StringRecord,
+) -> std::result::Result<Rigid, (Option<&'a str>, String, String)> {
     if record.len() != columns.len() {
-        let found = format!("{} values", record.len());
         let expected = format!("{}, one a column", columns.len());
-        return Err(InputError::new(file, place, found, expected).into());
+        return Err((None, format!("{} values", record.len()), expected));
     }
     let mut values = [0.0; 7];
     for ((value, text), &column) in values.iter_mut().zip(record).zip(columns) {
@@ -72,12 +87,11 @@ fn pose(file: &Path, columns: &[&str], record: &StringRecord) -> Result<Rigid> {
             _ if column.ends_with("_deg") => (360.0, "an angle from -360 to 360"),
             _ => (1.01, "a number from -1 to 1"),
         };
+        // Not a number fails as NaN does.
         *value = text.parse().unwrap_or(f64::NAN);
-        // Written so that NaN fails.
-        if !(value.abs() <= limit) {
-            let mut error = InputError::new(file, place, format!("{text:?}"), expected);
-            error.key = Some(column.to_owned());
-            return Err(error.into());
+        let holds = value.abs() <= limit;
+        if !holds {
+            return Err((Some(column), format!("{text:?}"), expected.to_owned()));
         }
     }
     let [x, y, z, a, b, c, d] = values;
@@ -91,7 +105,7 @@ fn pose(file: &Path, columns: &[&str], record: &StringRecord) -> Result<Rigid> {
     // Room for three digits; past that the four numbers are something else.
     if (length - 1.0).abs() > 0.01 {
         let found = format!("a quaternion of length {length:.4}");
-        return Err(InputError::new(file, place, found, "length 1").into());
+        return Err((None, found, "length 1".to_owned()));
     }
     Ok(Rigid {
         rotation: DMat3::from_quat(quaternion.normalize()),
