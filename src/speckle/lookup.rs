@@ -82,7 +82,7 @@ impl Coherence {
         ((1.0 + p * p) / (2.0 * self.independent_patterns as f64)).sqrt()
     }
 
-    fn validate(&self) -> Result<()> {
+    pub(super) fn validate(&self) -> Result<()> {
         let p = self.polarisation_degree;
         if !(0.0..=1.0).contains(&p) {
             return refuse("polarisation_degree", p.to_string(), "a number in [0, 1]");
@@ -104,7 +104,7 @@ impl Coherence {
     /// 2018) and evenly round the path in u. At one place and time they are
     /// independent; the sum repeats, at 1/n of its variance, at the distances
     /// between them, as every pattern does at its period.
-    fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
+    pub(super) fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
         let n = self.independent_patterns;
         let p = self.polarisation_degree;
         let powers = [(1.0 + p) / 2.0, (1.0 - p) / 2.0];
@@ -128,9 +128,9 @@ impl Coherence {
 }
 
 /// One of the independent patterns of a [`Coherence`].
-struct Layer {
-    weight: f32,
-    offset: Coordinate,
+pub(super) struct Layer {
+    pub weight: f32,
+    pub offset: Coordinate,
 }
 
 /// Interpolated speckle patterns, in memory.

@@ -9,6 +9,7 @@
 pub mod anchor;
 pub mod coordinate;
 mod fixed;
+pub mod frame_field;
 pub mod lookup;
 pub mod motion;
 pub mod pattern;
