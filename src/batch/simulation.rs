@@ -6,16 +6,17 @@ use crate::camera::{Camera, DARK_GROUP, DarkCounts};
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
-use crate::integrator::plan::SpeckleOptics;
-use crate::integrator::{Plan, Speckle, View, footprint_image, irradiance_image};
+use crate::integrator::plan::{SpeckleOptics, SpeckleStep};
+use crate::integrator::{Patterns, Plan, Slip, Speckle, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::{Calibration, Peak, find_peaks};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::anchor::PoseAnchor;
 use crate::speckle::coordinate::GrainMap;
+use crate::speckle::frame_field::FrameFields;
 use crate::speckle::lookup::{Lookup, Method};
-use crate::speckle::motion::{Source, SurfaceView};
+use crate::speckle::motion::{Source, SurfaceView, overlap_correlation_defocused};
 use crate::speckle::pattern::{Aperture, PatternSpec};
 use rayon::prelude::*;
 
@@ -23,7 +24,7 @@ pub struct Simulation<'s> {
     pub scene: &'s Scene,
     pub accel: Accel<'s>,
     pub plan: Plan,
-    speckle: Option<Patterns>,
+    speckle: Option<ScanSpeckle>,
     /// `None`: every sample is traced.
     clusters: Option<Clusters>,
     /// `None`: dark counts are all the same.
@@ -36,11 +37,21 @@ const DARK: u64 = u64::MAX;
 
 /// Speckle of a scan: the patterns, how they lie over the sensor, and how they
 /// follow the part.
-struct Patterns {
-    lookup: Lookup,
+struct ScanSpeckle {
+    source: PatternSource,
     map: GrainMap,
-    per_pixel: bool,
     anchor: PoseAnchor,
+}
+
+enum PatternSource {
+    Frame {
+        fields: FrameFields,
+        slip: Option<Slip>,
+    },
+    Ring {
+        lookup: Lookup,
+        per_pixel: bool,
+    },
 }
 
 impl<'s> Simulation<'s> {
@@ -57,11 +68,11 @@ impl<'s> Simulation<'s> {
         Ok(Simulation {
             scene,
             accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
-            plan,
             speckle: match &scene.speckle {
-                Some(model) => Some(Patterns::new(scene, model)?),
+                Some(model) => Some(ScanSpeckle::new(scene, model, plan.speckle_slips)?),
                 None => None,
             },
+            plan,
             clusters: None,
             dark: DarkCounts::new(&scene.camera.sensor),
         })
@@ -152,7 +163,7 @@ impl<'s> Simulation<'s> {
     }
 }
 
-/// The patterns of a scan: ten slices a pupil diameter, 270 MB as fields.
+/// The patterns of a scan; as a ring, ten slices a pupil diameter.
 pub(super) fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
         slices: 32,
@@ -162,38 +173,71 @@ pub(super) fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
     }
 }
 
-impl Patterns {
-    fn new(scene: &Scene, model: &SpeckleModel) -> Result<Patterns> {
+impl ScanSpeckle {
+    fn new(scene: &Scene, model: &SpeckleModel, slips: bool) -> Result<ScanSpeckle> {
         let spec = scan_patterns(scene.seed, model.aperture);
         let wavelength = scene.laser.beam.wavelength;
-        let reference = scene.part_from_head(0);
-        Ok(Patterns {
-            lookup: Lookup::new(&spec, model.method, model.coherence)?,
+        let anchor = anchor(scene, slips);
+        let source = match model.method {
+            Method::Field => PatternSource::Frame {
+                fields: FrameFields::new(&spec, model.coherence)?,
+                slip: anchor.slip().filter(|_| slips).map(|slip| Slip {
+                    along: anchor.along(),
+                    per_diameter: on_sensor(slip),
+                }),
+            },
+            Method::Trilinear | Method::Prefiltered { .. } => PatternSource::Ring {
+                lookup: Lookup::new(&spec, model.method, model.coherence)?,
+                per_pixel: model.method != Method::Trilinear,
+            },
+        };
+        Ok(ScanSpeckle {
+            source,
             map: GrainMap::new(
                 spec.texels_per_speckle,
                 scene.camera.speckle_size(wavelength),
                 scene.camera.speckle_size_gradient(wavelength),
             ),
-            per_pixel: matches!(model.method, Method::Prefiltered { .. }),
-            anchor: PoseAnchor::new(
-                surface_view(scene, None),
-                reference.inverse().rotation,
-                scene.scan.step,
-            ),
+            anchor,
         })
     }
 
     fn in_frame(&self, part_from_head: &Rigid) -> Speckle<'_> {
         let at = self.anchor.coordinate(part_from_head);
+        let patterns = match &self.source {
+            PatternSource::Frame { fields, slip } => Patterns::Frame {
+                fields,
+                place: at.pupil,
+                slip: *slip,
+            },
+            PatternSource::Ring { lookup, per_pixel } => Patterns::Ring {
+                lookup,
+                slice: at.u * lookup.slices_per_diameter(),
+                per_pixel: *per_pixel,
+            },
+        };
         Speckle {
-            lookup: &self.lookup,
+            patterns,
             map: self.map,
-            per_pixel: self.per_pixel,
-            // The view's second axis points up, the sensor's rows go down.
-            displacement: DVec2::new(at.sensor.x, -at.sensor.y),
-            slice: at.u * self.lookup.slices_per_diameter(),
+            displacement: on_sensor(at.sensor),
         }
     }
+}
+
+/// A displacement as (columns, rows): a view's second axis points up, the sensor's
+/// rows go down.
+fn on_sensor(displacement: DVec2) -> DVec2 {
+    DVec2::new(displacement.x, -displacement.y)
+}
+
+/// What ties the patterns to the part; `slips` if it is read out of focus.
+fn anchor(scene: &Scene, slips: bool) -> PoseAnchor {
+    let mut view = surface_view(scene, None);
+    if slips {
+        view.magnification = scene.camera.lens.magnification();
+    }
+    let start = scene.part_from_head(0);
+    PoseAnchor::new(view, &start, scene.scan.step, scene.laser.beam.wavelength)
 }
 
 /// The view of `point` (head's frame) on a surface across the beam; by default the
@@ -248,6 +292,22 @@ pub fn plan(scene: &Scene) -> Plan {
             per_pixel: matches!(s.method, Method::Prefiltered { .. }),
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
+            step: step_of_speckle(scene, s.method == Method::Field),
         }),
     )
+}
+
+/// What a step of the scan does to speckle in the middle of the field; `field`
+/// whether the method reads fields, which alone can slip.
+fn step_of_speckle(scene: &Scene, field: bool) -> SpeckleStep {
+    let anchor = anchor(scene, true);
+    let [from, to] = [0, 1].map(|frame| anchor.coordinate(&scene.part_from_head(frame)).pupil);
+    let delta = (to.shift - from.shift).length();
+    let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    let slip = anchor.slip().filter(|_| field);
+    SpeckleStep {
+        across_sheet: scene.scan.step.dot(scene.head_from_laser.rotation.y_axis),
+        gamma: overlap_correlation_defocused(delta, to.defocus - from.defocus),
+        slip_grains: slip.map(|slip| slip.length() * delta / grain),
+    }
 }

@@ -16,6 +16,7 @@ use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
+use std::f64::consts::PI;
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,40 +105,28 @@ impl FrameFields {
         self.part(place, &rows, |_| true)
     }
 
-    /// The field in two parts that add up to it: phasors on one strip of the plane
-    /// across `along` (unit vector) and on the next. Strip k holds the phasors from
-    /// kW to (k+1)W along it, W the pupil's [width](Self::strip_width); with each
-    /// part comes the place of its strip's middle from the pupil's, in diameters.
-    ///
-    /// A strip's phasors may be displaced as one: in whatever frame they are seen,
-    /// they are the same strip. See [`super::anchor`].
-    pub fn strips(&self, place: &PupilPlace, along: DVec2) -> [(FrameField, f64); 2] {
-        let width = self.strip_width();
+    /// The field at `place`, to be read where it slips along the pupil's way, whose
+    /// direction over the field is `along` (unit vector).
+    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField {
+        let width = self.spec.aperture.extent();
         let way = place.shift.dot(along);
         let first = (way / width - 0.5).floor();
         let mut rows = Rows::none(&self.spec);
         rows.insert_all();
-        [first, first + 1.0].map(|strip| {
+        let strips = [first, first + 1.0].map(|strip| {
             let low = strip * width;
-            let field = self.part(place, &rows, |q| {
-                (low..low + width).contains(&q.dot(along))
-            });
-            (field, low + width / 2.0 - way)
-        })
-    }
-
-    /// The largest extent of the pupil in any direction, in its diameters.
-    pub fn strip_width(&self) -> f64 {
-        self.spec.aperture.extent()
+            let inside = |q: DVec2| (low..low + width).contains(&q.dot(along));
+            (self.part(place, &rows, inside), low + width / 2.0 - way)
+        });
+        let [near, far] = [&strips[0], &strips[1]].map(|(_, middle)| middle * middle);
+        SlippingField {
+            strips,
+            turn: along * (PI / self.spec.texels_per_speckle * (far - near)),
+        }
     }
 
     /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(
-        &self,
-        place: &PupilPlace,
-        rows: &Rows,
-        keep: impl Fn(DVec2) -> bool,
-    ) -> FrameField {
+    fn part(&self, place: &PupilPlace, rows: &Rows, keep: impl Fn(DVec2) -> bool) -> FrameField {
         let width = self.spec.pupil_width();
         let centre = place.shift * width;
         let origin = carrier(centre);
@@ -225,25 +214,6 @@ impl FrameField {
         sum
     }
 
-    /// Intensity of the sum of two parts of a field, each read at a place of its
-    /// own.
-    #[inline(always)]
-    pub fn intensity_of_sum(parts: [(&FrameField, DVec2); 2]) -> f32 {
-        let layer = |offset| {
-            let [a, b] = parts.map(|(part, at)| {
-                let (amplitude, gain) = part.amplitude(at + offset);
-                amplitude * gain.sqrt()
-            });
-            (a + b).length_squared()
-        };
-        let (first, _) = parts[0];
-        let mut sum = first.first_weight * layer(DVec2::ZERO);
-        for &(weight, offset) in &first.further_layers {
-            sum += weight * layer(offset);
-        }
-        sum
-    }
-
     /// The blend of four texels, and what to multiply its power by for the variance
     /// that blending lost.
     #[inline(always)]
@@ -253,8 +223,8 @@ impl FrameField {
         let below = (row + 1) & self.size_mask;
         let column = 2 * s.index(self.size_mask);
         let (fs, ft) = (s.fraction(), t.fraction());
-        let gain = 1.0
-            / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
+        let gain =
+            1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
         let taps = |row: usize| {
             let pair = &self.texels[row * self.stride + column..][..4];
             Vec4::from_slice(pair)
@@ -264,3 +234,42 @@ impl FrameField {
         (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
     }
 }
+
+/// A field in two parts that are displaced each by its own slip.
+///
+/// The plane of phasors is cut into strips across the pupil's way, as wide as the
+/// pupil, so that it stands on two at most. Strip k is displaced by −S·m_k, m_k the
+/// way from the pupil's middle to the strip's (diameters): by nothing when it fills
+/// the pupil, and from frame to frame by S times the pupil's step. Two strips then
+/// slip alike; for their sum to do so, the phase between them must follow: a frame's
+/// band is centred on its own pupil, c, so its strips turn by 2π·c·(their distance
+/// apart) from frame to frame, and η_k = π·(d/N)·(along·S)·m_k² takes that back.
+/// (It is the difference of chirps |q−c|² and |q−u_k|² over a strip around u_k.)
+pub struct SlippingField {
+    strips: [(FrameField, f64); 2],
+    /// η of the second strip less that of the first, for each texel of S.
+    turn: DVec2,
+}
+
+impl SlippingField {
+    /// Speckle intensity at (s, t), mean 1, for a slip S in texels a diameter.
+    #[inline(always)]
+    pub fn intensity(&self, at: DVec2, slip: DVec2) -> f32 {
+        let [(first, near), (second, far)] = &self.strips;
+        let places = [at - slip * *near, at - slip * *far];
+        let turn = DVec2::from_angle(self.turn.dot(slip)).as_vec2();
+        let layer = |offset: DVec2| {
+            let (a, gain_a) = first.amplitude(places[0] + offset);
+            let (b, gain_b) = second.amplitude(places[1] + offset);
+            (a * gain_a.sqrt() + b.rotate(turn) * gain_b.sqrt()).length_squared()
+        };
+        let mut sum = first.first_weight * layer(DVec2::ZERO);
+        for &(weight, offset) in &first.further_layers {
+            sum += weight * layer(offset);
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -188,13 +188,13 @@ impl PhasorPlane {
     }
 
     /// Unit phasor of texel (x, y) of the plane.
-    fn phasor(&self, x: i64, y: i64) -> Complex32 {
+    pub(super) fn phasor(&self, x: i64, y: i64) -> Complex32 {
         let counter = (y as u32 as u64) << 32 | x as u32 as u64;
         self.phases[(self.key.bits(counter) >> (u64::BITS - PHASE_BITS)) as usize]
     }
 
     /// Whether the pupil centred at `centre` (texels) lets texel (x, y) pass.
-    fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
+    pub(super) fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
         let width = self.spec.pupil_width();
         let height = width * self.spec.aperture.ratio();
         let offset = DVec2::new(x as f64, y as f64) - centre;
@@ -310,7 +310,8 @@ impl PhasorPlane {
                 }
             }
         }
-        self.fft.process_with_scratch(&mut lines, &mut self.scratch());
+        self.fft
+            .process_with_scratch(&mut lines, &mut self.scratch());
         Columns {
             lines,
             scale: 1.0 / power.sqrt(),

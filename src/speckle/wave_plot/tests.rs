@@ -28,6 +28,7 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
         name: name.into(),
         delta: 0.2,
         seed_sum: 0.3,
+        defocus_phase: 0.8,
         gamma_overlap: 0.558,
         gamma_defocused: 0.5,
         displacement_um: [10.0, 0.0],
