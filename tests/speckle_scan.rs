@@ -168,8 +168,8 @@ wavelength_nm = 660
 power_mw = 5
 waist_radius_um = 10
 waist_distance_mm = 0
-position_mm = [60, 0, 80]
-direction = [-0.6, 0, -0.8]
+position_mm = [0, 60, 80]
+direction = [0, -0.6, -0.8]
 [camera]
 focal_length_mm = {f}
 f_number = 16
@@ -185,8 +185,8 @@ gain_dn_per_e = 0.2
 bit_depth = 12
 full_well_e = 20000
 [scan]
-start_mm = [0, -1, 0]
-direction = [0, 1, 0]
+start_mm = [-1, 0, 0]
+direction = [1, 0, 0]
 step_mm = {step}
 frames = 60
 "#
@@ -211,13 +211,13 @@ frames = 60
         .filter(|(_, f)| f[1] == f[0] + 1)
     {
         let (a, b) = (&speckle[k], &speckle[k + 1]);
-        let lags = (-3..=3).flat_map(|dx| (-12..=12).map(move |dy| [dx, dy]));
+        let lags = (-12..=12).flat_map(|dx| (-3..=3).map(move |dy| [dx, dy]));
         let best = lags
             .map(|lag| (correlation(a, b, lag), lag))
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .unwrap();
-        // The part moves to −y, which is down: towards higher rows.
-        assert_eq!(best.1, [0, pixels], "{pair:?}: {best:?}");
+        // The part moves to −x, towards lower columns.
+        assert_eq!(best.1, [-pixels, 0], "{pair:?}: {best:?}");
         assert!(best.0 > 0.8, "{pair:?}: {best:?}");
         let n = a.len() as f64;
         let mean = a.iter().map(|v| *v as f64).sum::<f64>() / n;

@@ -72,9 +72,10 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         seed: effort.seed,
     })?;
     let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
-    files::write_bytes(&pictures[0], motion_plot(&motions).as_bytes())?;
+    let textures = textures(&motions, effort.seed)?;
+    files::write_bytes(&pictures[0], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
-        motions: compared(motions, effort.seed)?,
+        motions: compared(motions, &textures),
         centroids,
         pictures,
     };
@@ -116,9 +117,10 @@ pub fn wave_patch(
     let motions = measured(&cases, &sampling, control)?;
     let image = line_image(scene, &view, effort.seed)?;
     let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
-    files::write_bytes(&pictures[1], motion_plot(&motions).as_bytes())?;
+    let textures = textures(&motions, effort.seed)?;
+    files::write_bytes(&pictures[1], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
-        motions: compared(motions, effort.seed)?,
+        motions: compared(motions, &textures),
         centroids: Vec::new(),
         pictures,
     };
@@ -156,9 +158,9 @@ fn measured(
     Ok(rows)
 }
 
-/// Adds what the fields of a scan's frames show before and after each motion: the
+/// γ as the fields of a scan's frames show it before and after each motion: the
 /// correlation of 2¹⁹ readings, a grain apart, of eight patterns: to 0.003.
-fn compared(motions: Vec<MotionRow>, seed: u64) -> Result<Vec<ComparedMotion>> {
+fn textures(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
     let patterns = 0..8u64;
     let mut sums = vec![0.0; motions.len()];
     let side = 256;
@@ -176,18 +178,22 @@ fn compared(motions: Vec<MotionRow>, seed: u64) -> Result<Vec<ComparedMotion>> {
             (0..side * side).map(read).collect()
         };
         let start = readings(0.0, 0.0);
-        for (sum, row) in sums.iter_mut().zip(&motions) {
+        for (sum, row) in sums.iter_mut().zip(motions) {
             let moved = readings(row.delta, row.defocus_phase);
             // Mean 1 and variance 1, exactly, over the ensemble.
             let products = start.iter().zip(&moved).map(|(a, b)| (a - 1.0) * (b - 1.0));
             *sum += products.sum::<f64>() / (side * side) as f64;
         }
     }
-    let compare = |(row, sum): (MotionRow, f64)| ComparedMotion {
-        gamma_texture: sum / patterns.end as f64,
-        row,
-    };
-    Ok(motions.into_iter().zip(sums).map(compare).collect())
+    Ok(sums
+        .into_iter()
+        .map(|sum| sum / patterns.end as f64)
+        .collect())
+}
+
+fn compared(motions: Vec<MotionRow>, textures: &[f64]) -> Vec<ComparedMotion> {
+    let compare = |(row, &gamma_texture)| ComparedMotion { row, gamma_texture };
+    motions.into_iter().zip(textures).map(compare).collect()
 }
 
 /// Motions of the reference table: what its progress counts.

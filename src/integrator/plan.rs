@@ -68,11 +68,9 @@ pub struct SpeckleStep {
     pub slip_grains: Option<f64>,
 }
 
-/// Slip from frame to frame up to which it is left out, grains: it lowers their
-/// correlation by less than (π·0.1)²/4, [`CONTRAST_TOLERANCE`].
-const SLIP_TOLERANCE_GRAINS: f64 = 0.1;
-/// Correlation of neighbouring frames up to which they count as independent.
-const INDEPENDENT: f64 = 0.01;
+/// Error of the correlation of neighbouring frames up to which the pattern's slip is
+/// left out: what correlations of the patterns are good to.
+const CORRELATION_TOLERANCE: f64 = 0.01;
 
 /// Relative error of speckle contrast that sampling may cause: what the law of
 /// centroid noise is good to.
@@ -143,7 +141,7 @@ impl Plan {
             speckle_slips: false,
             effects: Vec::new(),
         };
-        let slip = speckle.as_ref().map(|optics| line.slip(&optics.step));
+        let slip = speckle.as_ref().map(|optics| line.slip(optics));
         plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
         plan.effects = plan.explain(speckle.as_ref(), sigma);
         plan.effects.extend(slip);
@@ -174,7 +172,7 @@ impl Plan {
                 "speckle",
                 speckle.is_some(),
                 if speckle.is_some() {
-                    "precomputed pattern"
+                    "patterns tied to the part"
                 } else {
                     "none"
                 }
@@ -234,29 +232,30 @@ struct LineImage {
 
 impl LineImage {
     /// Whether the pattern's slip on surfaces out of focus is modelled, and why.
-    fn slip(&self, step: &SpeckleStep) -> Effect {
+    fn slip(&self, optics: &SpeckleOptics) -> Effect {
+        let step = &optics.step;
         // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
         let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
         let slip = step.slip_grains.map(|grains| grains * self.defocus);
-        let modelled =
-            shared > INDEPENDENT && slip.is_some_and(|slip| slip > SLIP_TOLERANCE_GRAINS);
-        let why = match slip {
-            Some(slip) => format!(
-                "slips by up to {slip:.2} grains from frame to frame, whose speckle is correlated \
-                 by at most {shared:.2}"
-            ),
-            None => "read by intensity, or speckle that moves but hardly changes".into(),
-        };
+        let error = slip.map_or(0.0, |grains| {
+            let kept = optics.aperture.field_correlation(DVec2::X * grains);
+            shared * (1.0 - kept * kept)
+        });
+        let modelled = error > CORRELATION_TOLERANCE;
         Effect {
             effect: "speckle out of focus",
             modelled,
-            method: if modelled {
-                "two strips of the pupil a frame, each displaced by its defocus"
-            } else {
-                "tied to the surface"
-            }
-            .into(),
-            why,
+            method: match modelled {
+                true => "two strips of the pupil's field, each displaced by its defocus".into(),
+                false => "moves with the surface".into(),
+            },
+            why: match slip {
+                Some(slip) => format!(
+                    "slips up to {slip:.2} grains a frame: without, the correlation of \
+                     neighbouring frames, {shared:.3} at most, is off by {error:.3}"
+                ),
+                None => "intensities are read, or speckle moves but hardly changes".into(),
+            },
         }
     }
 

@@ -38,12 +38,16 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
         },
     };
     let moved = Some([estimate(0.01), estimate(0.0)]);
-    let svg = motion_plot(&[row("tilt <1°> & shift", moved), row("lost", None)]);
+    let svg = motion_plot(
+        &[row("tilt <1°> & shift", moved), row("lost", None)],
+        &[0.49, 0.51],
+    );
     assert_drawn(&svg);
     assert!(svg.contains("1: tilt &lt;1°> &amp; shift") && svg.contains("2: lost"));
-    // Two of γ, twice, two of the one displacement, three of the legends.
-    assert_eq!(svg.matches("<circle").count(), 9);
-    assert_drawn(&motion_plot(&[]));
+    // Two of γ, twice, two of the texture, two of the one displacement, five of the
+    // legends.
+    assert_eq!(svg.matches("<circle").count(), 13);
+    assert_drawn(&motion_plot(&[], &[]));
 }
 
 #[test]
