@@ -38,7 +38,7 @@ pub enum Patterns<'a> {
 }
 
 /// How the pattern of a surface out of focus slips on it; see
-/// [`crate::speckle::anchor`].
+/// [`PoseAnchor`](crate::speckle::anchor::PoseAnchor).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slip {
     /// Direction in which the pupil shifts over the field through the scan.
@@ -191,7 +191,6 @@ impl Focus {
     fn defocus(&self, place: DVec2, depth: f64) -> f64 {
         let image_distance = self.sensor + self.slope.dot(place);
         let focused_on = 1.0 / self.focal_length - 1.0 / image_distance;
-        // `max` before `min`: a depth of zero is no number.
-        (1.0 - 1.0 / (focused_on * depth)).max(-1.0).min(1.0)
+        (1.0 - 1.0 / (focused_on * depth)).clamp(-1.0, 1.0)
     }
 }

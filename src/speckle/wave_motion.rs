@@ -52,7 +52,7 @@ pub struct MotionRow {
     pub seed_sum: f64,
     /// Phase of the defocus by the motion along the viewing ray, rad.
     pub defocus_phase: f64,
-    /// Overlap law at δ, what a texture of slices in u = δ shows.
+    /// Overlap law at δ, what a ring of slices shows at u = δ.
     pub gamma_overlap: f64,
     /// Overlap law with the defocus of the motion along the viewing ray.
     pub gamma_defocused: f64,

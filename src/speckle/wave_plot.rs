@@ -150,7 +150,7 @@ pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
         Some([axis(0), axis(1)])
     });
     for (x, names) in [
-        (680.0, ["waves", "scan's fields"]),
+        (665.0, ["waves", "scan's fields"]),
         (1070.0, ["along x", "along y"]),
     ] {
         for (k, (colour, name)) in [WAVES, WAVES_OTHER].into_iter().zip(names).enumerate() {
