@@ -4,14 +4,15 @@ use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
 use lasertrace::camera::{Camera, Distortion, Lens, Sensor};
-use lasertrace::integrator::{Speckle, View, footprint_image, irradiance_image};
+use lasertrace::integrator::{Patterns, Speckle, View, footprint_image, irradiance_image};
 use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::scene::Scene;
 use lasertrace::speckle::coordinate::GrainMap;
-use lasertrace::speckle::lookup::{Coherence, Lookup, Method};
+use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
+use lasertrace::speckle::lookup::Coherence;
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use lasertrace::surface::Lambert;
 use std::path::{Path, PathBuf};
@@ -160,10 +161,10 @@ impl Setup {
 struct Part<'m> {
     accel: Accel<'m>,
     clusters: Clusters,
-    lookup: &'m Lookup,
+    fields: &'m FrameFields,
 }
 
-fn lookup() -> Lookup {
+fn fields() -> FrameFields {
     let spec = PatternSpec {
         size: 64,
         texels_per_speckle: 4.0,
@@ -171,15 +172,15 @@ fn lookup() -> Lookup {
         slices: 8,
         seed: 1,
     };
-    Lookup::new(&spec, Method::Field, Coherence::FULL).unwrap()
+    FrameFields::new(&spec, Coherence::FULL).unwrap()
 }
 
 impl<'m> Part<'m> {
-    fn new(mesh: &'m Mesh, lookup: &'m Lookup) -> Part<'m> {
+    fn new(mesh: &'m Mesh, fields: &'m FrameFields) -> Part<'m> {
         Part {
             accel: Accel::build(mesh, 1).unwrap(),
             clusters: Clusters::new(mesh),
-            lookup,
+            fields,
         }
     }
 
@@ -193,11 +194,16 @@ impl<'m> Part<'m> {
             camera: &setup.camera,
             part_from_camera: setup.part_from_camera,
             speckle: setup.speckle.then_some(Speckle {
-                lookup: self.lookup,
+                patterns: Patterns::Frame {
+                    fields: self.fields,
+                    place: PupilPlace {
+                        shift: DVec2::new(5.7, -0.3),
+                        defocus: 0.0,
+                    },
+                    slip: None,
+                },
                 map: GrainMap::new(4.0, 0.012, DVec2::new(1e-4, -2e-4)),
-                per_pixel: false,
                 displacement: DVec2::new(0.3, -7.0),
-                slice: 5.7,
             }),
             samples_per_side: setup.samples_per_side,
         };
@@ -261,9 +267,9 @@ fn parts() -> Vec<(&'static str, Mesh)> {
 
 #[test]
 fn random_scenes_are_the_same_to_the_bit() {
-    let lookup = lookup();
+    let fields = fields();
     for (i, (name, mesh)) in parts().iter().enumerate() {
-        let part = Part::new(mesh, &lookup);
+        let part = Part::new(mesh, &fields);
         let (mut lit, mut dark) = (0, 0);
         for seed in 0..80 {
             let mut random = Random::new(1000 * i as u64 + seed);
@@ -312,11 +318,11 @@ fn scenes_seen_through_a_distorting_lens_are_the_same_to_the_bit() {
 /// of the step block, with the line across the view and along it.
 #[test]
 fn surfaces_seen_grazing_are_the_same_to_the_bit() {
-    let lookup = lookup();
+    let fields = fields();
     let plane = shapes::plane(DVec2::new(60.0, 40.0)).unwrap();
     let block = shapes::step_block(DVec3::new(30.0, 20.0, 12.0), 4.0).unwrap();
     for (mesh, top) in [(&plane, 0.0), (&block, 12.0)] {
-        let part = Part::new(mesh, &lookup);
+        let part = Part::new(mesh, &fields);
         let target = DVec3::new(5.0, 0.3, top);
         for degrees in [90.0f64, 30.0, 3.0, 0.3, 0.03, 0.003, 0.001] {
             for (line, kind) in [(DVec3::X, 0), (DVec3::Y, 1), (DVec3::new(1.0, 0.3, 0.0), 2)] {
@@ -379,14 +385,14 @@ fn random_scenes_of_real_parts_are_the_same_to_the_bit() {
     };
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     paths.sort();
-    let lookup = lookup();
+    let fields = fields();
     let (mut parts, mut lit) = (0, 0);
     for path in paths {
         let Ok(mesh) = mesh::load(&path, 1.0) else {
             continue;
         };
         parts += 1;
-        let part = Part::new(&mesh, &lookup);
+        let part = Part::new(&mesh, &fields);
         for seed in 0..12 {
             let mut random = Random::new(900_000 + seed);
             let (same, pixels) = part.compare(&Setup::random(&mesh, &mut random));

@@ -10,6 +10,7 @@ mod peaks;
 mod render;
 mod report;
 mod scan;
+mod scan_speckle;
 mod simulation;
 mod speckle;
 mod synthetic;

@@ -2,21 +2,17 @@
 //! patterns computed. Each frame depends on its number alone.
 
 use super::measure::error_model;
+use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
 use crate::accel::{Accel, Clusters};
 use crate::camera::{DARK_GROUP, DarkCounts};
 use crate::error::Result;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{Plan, Sheet, Speckle, View, footprint_image, irradiance_image};
+use crate::integrator::{Plan, Sheet, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
-use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::math::{Aabb, Rigid};
 use crate::profile::{Calibration, ErrorModel};
-use crate::scene::{Motion, Moves, Scene, SpeckleModel};
-use crate::speckle::anchor::PoseAnchor;
-use crate::speckle::coordinate::GrainMap;
-use crate::speckle::lookup::{Lookup, Method};
-use crate::speckle::motion::{Source, SurfaceView};
-use crate::speckle::path::PathAnchor;
-use crate::speckle::pattern::{Aperture, PatternSpec};
+use crate::scene::{Motion, Scene};
+use crate::speckle::lookup::Method;
 use rayon::prelude::*;
 
 pub struct Simulation<'s> {
@@ -25,7 +21,7 @@ pub struct Simulation<'s> {
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
-    speckle: Option<Patterns>,
+    speckle: Option<ScanSpeckle>,
     /// `None`: every sample is traced.
     clusters: Option<Clusters>,
     /// `None`: dark counts are all the same.
@@ -39,21 +35,6 @@ pub struct Simulation<'s> {
 /// many.
 const DARK: u64 = u64::MAX;
 
-/// Speckle of a scan: the patterns, how they lie over the sensor, and how they
-/// follow the part.
-struct Patterns {
-    lookup: Lookup,
-    map: GrainMap,
-    per_pixel: bool,
-    anchor: Anchor,
-}
-
-enum Anchor {
-    /// Nothing turns: exact over any length.
-    Pose(Box<PoseAnchor>),
-    Path(PathAnchor),
-}
-
 impl<'s> Simulation<'s> {
     pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
         Ok(Simulation {
@@ -64,12 +45,14 @@ impl<'s> Simulation<'s> {
 
     /// One that traces every sample, to the same bytes.
     pub fn exhaustive(scene: &'s Scene) -> Result<Simulation<'s>> {
-        let patterns = scene.speckle.as_ref();
+        let measuring = Simulation::measuring(scene)?;
         Ok(Simulation {
-            speckle: patterns
-                .map(|model| Patterns::new(scene, model))
+            speckle: scene
+                .speckle
+                .as_ref()
+                .map(|model| ScanSpeckle::new(scene, model, measuring.plan.speckle_slips))
                 .transpose()?,
-            ..Simulation::measuring(scene)?
+            ..measuring
         })
     }
 
@@ -172,114 +155,6 @@ impl<'s> Simulation<'s> {
     }
 }
 
-/// The patterns of a scan: ten slices a pupil diameter, 270 MB as fields.
-pub(super) fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
-    PatternSpec {
-        slices: 32,
-        aperture,
-        seed,
-        ..PatternSpec::default()
-    }
-}
-
-impl Patterns {
-    fn new(scene: &Scene, model: &SpeckleModel) -> Result<Patterns> {
-        let spec = scan_patterns(scene.seed, model.aperture);
-        let wavelength = scene.laser.beam.wavelength;
-        Ok(Patterns {
-            lookup: Lookup::new(&spec, model.method, model.coherence)?,
-            map: GrainMap::new(
-                spec.texels_per_speckle,
-                scene.camera.speckle_size(wavelength),
-                scene.camera.speckle_size_gradient(wavelength),
-            ),
-            per_pixel: matches!(model.method, Method::Prefiltered { .. }),
-            anchor: anchor(scene),
-        })
-    }
-
-    fn at(&self, place: f64, part_from_head: &Rigid) -> Speckle<'_> {
-        let at = match &self.anchor {
-            Anchor::Pose(anchor) => anchor.coordinate(part_from_head),
-            Anchor::Path(anchor) => anchor.coordinate(place),
-        };
-        Speckle {
-            lookup: &self.lookup,
-            map: self.map,
-            per_pixel: self.per_pixel,
-            // The view's second axis points up, the sensor's rows go down.
-            displacement: DVec2::new(at.sensor.x, -at.sensor.y),
-            slice: at.u * self.lookup.slices_per_diameter(),
-        }
-    }
-}
-
-/// How the patterns follow the part along the scene's path.
-fn anchor(scene: &Scene) -> Anchor {
-    let view = surface_view(scene, None);
-    let scan = &scene.scan;
-    let first = scene.part_from_head(0);
-    let ways = |frame| {
-        first
-            .inverse()
-            .vector(scene.part_from_head(frame).translation - first.translation)
-    };
-    let direction = match &scan.motion {
-        _ if scan.turns() => {
-            // A rotary table turns alike from each frame to the next.
-            let frames = match scan.motion {
-                Motion::Rotary { .. } => 2,
-                _ => scan.frames,
-            };
-            let poses = (0..frames).map(|frame| scene.part_from_head(frame));
-            return Anchor::Path(PathAnchor::new(view, poses));
-        }
-        Motion::Linear { step } if scan.moves == Moves::Head => *step,
-        Motion::Linear { step } => -*step,
-        // The farthest from the first: the last may be there again.
-        _ => (0..scan.frames)
-            .map(ways)
-            .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
-            .unwrap_or(DVec3::ZERO),
-    };
-    let anchor = PoseAnchor::new(view, first.inverse().rotation, direction);
-    Anchor::Pose(Box::new(anchor))
-}
-
-/// The view of `point` (head's frame) on a surface across the beam; by default the
-/// point in the middle of the field, where the optical axis meets the laser plane
-/// (the plane of focus, if nowhere).
-pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
-    let camera = &scene.head_from_camera;
-    let laser = &scene.head_from_laser;
-    let (eye, axis) = (camera.translation, camera.rotation.z_axis);
-    let normal = laser.rotation.y_axis;
-    let distance = normal.dot(laser.translation - eye) / normal.dot(axis);
-    let lens = &scene.camera.lens;
-    let point =
-        point.unwrap_or_else(
-            || match distance.is_finite() && distance > lens.focal_length {
-                true => eye + axis * distance,
-                false => eye + axis * lens.focus_distance,
-            },
-        );
-    let wave = scene.laser.wavefront(laser.inverse().point(point));
-    let turn = laser.rotation;
-    SurfaceView {
-        point,
-        normal: -laser.rotation.z_axis,
-        source: Source::Wavefront {
-            direction: turn * wave.direction,
-            curvature_per_mm: turn * wave.curvature_per_mm * turn.transpose(),
-        },
-        pupil_centre: eye,
-        pupil_diameter: lens.pupil_diameter(),
-        image_x: camera.rotation.x_axis,
-        focus_distance: lens.focus_distance,
-        magnification: lens.image_distance() / (point - eye).length(),
-    }
-}
-
 /// The true values of a scene's sensor.
 pub(super) fn perfect_calibration(scene: &Scene) -> Calibration {
     let camera_from_laser = camera_from_laser(scene);
@@ -322,6 +197,7 @@ pub fn plan(scene: &Scene) -> Plan {
             per_pixel: matches!(s.method, Method::Prefiltered { .. }),
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
+            step: step_of_speckle(scene, s.method == Method::Field),
         }),
     )
 }

@@ -106,6 +106,14 @@ impl Camera {
         Some(self.lens.pupil_diameter() * ((sensor_z - image_z) / image_z).abs())
     }
 
+    /// Defocus 1 − L_f/L_o of a point at `point`, L_o its distance from the lens and
+    /// L_f that of what is in focus on its ray; zero in focus, negative nearer.
+    pub fn defocus(&self, point: DVec3) -> Option<f64> {
+        let sensor_z = self.sensor_point(self.project(point)?).z;
+        let focused_on = 1.0 / self.lens.focal_length - 1.0 / sensor_z;
+        Some(1.0 - 1.0 / (focused_on * point.z)).filter(|d| d.is_finite())
+    }
+
     /// The tilt that brings the plane through `point` with normal `normal` (camera
     /// frame) into focus, for a lens focused where that plane meets the axis
     /// (Scheimpflug): the sensor's normal is along f·n - (n·p)·ẑ. `None` if the

@@ -5,12 +5,11 @@
 use super::blocks::Blocks;
 use super::footprint::Footprint;
 use super::sight::Sight;
+use super::speckle::{Reader, Speckle};
 use crate::accel::{Accel, Clusters, Hit, Ray, WIDTH};
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::speckle::coordinate::{Coordinate, GrainMap};
-use crate::speckle::lookup::Lookup;
 use crate::surface::Lambert;
 use rayon::prelude::*;
 
@@ -26,35 +25,6 @@ pub struct View<'a> {
     pub speckle: Option<Speckle<'a>>,
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
-}
-
-/// Speckle patterns, and how they lie over the sensor in one frame.
-#[derive(Clone, Copy)]
-pub struct Speckle<'a> {
-    pub lookup: &'a Lookup,
-    pub map: GrainMap,
-    /// The patterns are integrated over the pixel: they are read at its centre.
-    pub per_pixel: bool,
-    /// a_I of the seed: displacement on the sensor at which the pattern is read,
-    /// (columns, rows), mm.
-    pub displacement: DVec2,
-    /// u, in slices.
-    pub slice: f64,
-}
-
-impl Speckle<'_> {
-    /// Speckle intensity (mean 1) at a place (column, row) on the sensor.
-    fn intensity(&self, camera: &Camera, place: DVec2) -> f64 {
-        let place = if self.per_pixel {
-            place.floor() + 0.5
-        } else {
-            place
-        };
-        let screen = camera.screen(place);
-        let (s, t) = self.map.position(screen, self.displacement).into();
-        let u = self.slice;
-        self.lookup.intensity(Coordinate { s, t, u }) as f64
-    }
 }
 
 /// Irradiance on the sensor averaged over each pixel, mW/mm², row by row.
@@ -90,6 +60,9 @@ fn trace(view: &View, sight: &Sight, footprint: &Footprint) -> Vec<f32> {
         across: view.part_from_laser.rotation.y_axis,
         reach: footprint.reach + view.accel.refinement(),
         side: view.samples_per_side as usize,
+        speckle: view
+            .speckle
+            .map(|speckle| Reader::new(&speckle, view.camera, &footprint.blocks)),
     };
     let mut image = vec![0.0f32; columns * resolution.y as usize];
     // Eight rows amortise a task and leave a hundred tasks to share out.
@@ -123,6 +96,7 @@ struct Frame<'a> {
     reach: f64,
     /// Samples along each side of a pixel.
     side: usize,
+    speckle: Option<Reader<'a>>,
 }
 
 impl Frame<'_> {
@@ -161,28 +135,28 @@ impl Frame<'_> {
         };
         let hits = self.view.accel.closest(&rays[..count], near_sheet);
         let mut shadow_rays = rays;
-        let mut lit = [(0, 0.0); WIDTH];
+        let mut lit = [(0, 0.0, 0.0); WIDTH];
         let mut seen = 0;
         for (i, hit) in hits[..count].iter().enumerate() {
-            let Some((received, shadow_ray)) = hit.and_then(|hit| self.light_at(&hit)) else {
+            let Some(hit) = hit else { continue };
+            let Some((received, shadow_ray)) = self.light_at(hit) else {
                 continue;
             };
             let radiance = self.view.surface.radiance(received);
             let irradiance = radiance * self.solid_angle(to_sensor(i));
             shadow_rays[seen] = shadow_ray;
-            lit[seen] = (i, irradiance * per_sample * per_sample);
+            let depth = self.sight.axis.dot(hit.point - self.sight.eye);
+            lit[seen] = (i, irradiance * per_sample * per_sample, depth);
             seen += 1;
         }
         if seen == 0 {
             return;
         }
         let blocked = self.view.accel.occluded(&shadow_rays[..seen]);
-        for (bit, &(i, irradiance)) in lit[..seen].iter().enumerate() {
+        for (bit, &(i, irradiance, depth)) in lit[..seen].iter().enumerate() {
             if blocked >> bit & 1 == 0 {
-                let speckle = self
-                    .view
-                    .speckle
-                    .map_or(1.0, |speckle| speckle.intensity(self.view.camera, pixel(i)));
+                let reader = self.speckle.as_ref();
+                let speckle = reader.map_or(1.0, |reader| reader.intensity(pixel(i), depth));
                 sums[(first + i) / self.side] += irradiance * speckle;
             }
         }

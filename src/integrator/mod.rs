@@ -8,9 +8,11 @@ mod geometric;
 pub mod plan;
 mod polygon;
 mod sight;
+mod speckle;
 mod truth;
 
-pub use direct::{Speckle, View, footprint_image, irradiance_image};
+pub use direct::{View, footprint_image, irradiance_image};
 pub use geometric::{LinePoint, Sheet};
 pub use plan::Plan;
+pub use speckle::{Patterns, Slip, Speckle};
 pub use truth::{Truth, truth_layers};

@@ -31,6 +31,8 @@ pub struct Plan {
     /// Distance along the optical axis at which the laser plane meets it, mm: to
     /// be in focus with that tilt, the lens must be focused there.
     pub laser_plane_distance_mm: Option<f64>,
+    /// Whether the pattern slips on surfaces out of focus as they move.
+    pub speckle_slips: bool,
     pub effects: Vec<Effect>,
 }
 
@@ -51,6 +53,7 @@ pub struct SpeckleOptics {
     pub contrast: f64,
     /// The patterns are already integrated over the pixel.
     pub per_pixel: bool,
+    pub step: SpeckleStep,
 }
 
 /// What the plan must know of the motion in one exposure.
@@ -61,6 +64,22 @@ pub struct ExposureMotion {
     /// Poses whose light is averaged.
     pub poses: u32,
 }
+
+/// What a step of the scan does to the speckle of a surface point.
+#[derive(Debug, Clone, Copy)]
+pub struct SpeckleStep {
+    /// Way of the point across the laser's sheet, mm.
+    pub across_sheet: f64,
+    /// Correlation γ of its intensities before and after.
+    pub gamma: f64,
+    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains; `None`
+    /// if it cannot be modelled.
+    pub slip_grains: Option<f64>,
+}
+
+/// Error of the correlation of neighbouring frames up to which the pattern's slip is
+/// left out: what correlations of the patterns are good to.
+const CORRELATION_TOLERANCE: f64 = 0.01;
 
 /// Relative error of speckle contrast that sampling may cause: what the law of
 /// centroid noise is good to.
@@ -129,9 +148,13 @@ impl Plan {
                 .scheimpflug_tilt(plane_point, plane_normal)
                 .map(|tilt| tilt.to_array().map(f64::to_degrees)),
             laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
+            speckle_slips: false,
             effects: Vec::new(),
         };
+        let slip = speckle.as_ref().map(|optics| line.slip(optics));
+        plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
         plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
+        plan.effects.extend(slip);
         plan
     }
 
@@ -164,7 +187,7 @@ impl Plan {
                 "speckle",
                 speckle.is_some(),
                 if speckle.is_some() {
-                    "precomputed pattern"
+                    "patterns tied to the part"
                 } else {
                     "none"
                 }
@@ -235,9 +258,41 @@ struct LineImage {
     half_width_px: f64,
     defocus_blur_px: f64,
     px_per_mm: f64,
+    /// Largest 1/e² half width of the line itself, mm.
+    widest: f64,
+    /// Largest |1 − L_f/L_o|.
+    defocus: f64,
 }
 
 impl LineImage {
+    /// Whether the pattern's slip on surfaces out of focus is modelled, and why.
+    fn slip(&self, optics: &SpeckleOptics) -> Effect {
+        let step = &optics.step;
+        // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
+        let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
+        let slip = step.slip_grains.map(|grains| grains * self.defocus);
+        let error = slip.map_or(0.0, |grains| {
+            let kept = optics.aperture.field_correlation(DVec2::X * grains);
+            shared * (1.0 - kept * kept)
+        });
+        let modelled = error > CORRELATION_TOLERANCE;
+        Effect {
+            effect: "speckle out of focus",
+            modelled,
+            method: match modelled {
+                true => "two strips of the pupil's field, each displaced by its defocus".into(),
+                false => "moves with the surface".into(),
+            },
+            why: match slip {
+                Some(slip) => format!(
+                    "slips up to {slip:.2} grains a frame: without, the correlation of \
+                     neighbouring frames, {shared:.3} at most, is off by {error:.3}"
+                ),
+                None => "intensities are read, or speckle moves but hardly changes".into(),
+            },
+        }
+    }
+
     /// From 9 × 9 points of the laser plane within each of the part's boxes, those
     /// that the sensor sees; from the first box's middle if it sees none.
     fn over(
@@ -256,6 +311,8 @@ impl LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
             px_per_mm: f64::INFINITY,
+            widest: 0.0,
+            defocus: 0.0,
         };
         let middle = parts[0]
             .center()
@@ -283,6 +340,9 @@ impl LineImage {
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);
             }
+            image.widest = image.widest.max(width);
+            let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
+            image.defocus = image.defocus.max(defocus.abs());
             let blur = camera.defocus_blur(camera_from_laser.point(p));
             image.defocus_blur_px = image
                 .defocus_blur_px
@@ -333,6 +393,11 @@ mod tests {
             aperture: Aperture::Circle,
             contrast: 1.0,
             per_pixel: false,
+            step: SpeckleStep {
+                across_sheet: 0.0,
+                gamma: 1.0,
+                slip_grains: None,
+            },
         };
         let prefiltered = SpeckleOptics {
             per_pixel: true,

@@ -2,18 +2,21 @@
 //! frames can be rendered in any order and each surface point keeps its grains
 //! while the laser sweeps over it.
 
-use super::motion::{Motion, SurfaceView, speckle_shift};
+use super::frame_field::PupilPlace;
+use super::motion::{Motion, SurfaceView, defocus_phase, speckle_shift};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::DQuat;
 
 /// Where a pose looks the pattern up.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanCoordinate {
     /// (s,t) in mm on the sensor, to be added to the pixel's own position.
     pub sensor: DVec2,
-    /// The same for the pupil field: minus its shift A_p, in pupil diameters.
-    pub pupil: DVec2,
-    /// u: the part of `pupil` along the shift that the scan direction makes.
+    /// The same for the pupil field, from the start of the scan: minus its shift
+    /// A_p, in pupil diameters; and minus its defocus phase.
+    pub pupil: PupilPlace,
+    /// u, for a ring of slices: the part of `pupil.shift` along the shift that the
+    /// scan makes.
     pub u: f64,
 }
 
@@ -22,84 +25,136 @@ pub struct ScanCoordinate {
 /// ```text
 /// (s,t) = m·Qᵀ·R₀·X          X: the view's point in part coordinates at this pose
 /// A_p   = tensor formula of the motion a = −R₀·X, Ω = log(R·R₀ᵀ)
+/// φ     = k·D²·n_o·a/(8·L_o²)
 /// u     = e·(−A_p)/D         e: direction of −A_p for a step along the scan
 /// ```
 ///
-/// R is head_from_part, R₀ its value at the reference orientation, and the rest as
-/// in [`motion`](super::motion); everything is evaluated at one view (usually
-/// the middle of the field), which the head carries with it. The lens is taken in
-/// focus.
+/// R is head_from_part, R₀ its value at the start, and the rest as in
+/// [`motion`](super::motion); everything is evaluated at one view (usually the
+/// middle of the field), which the head carries with it.
 ///
 /// Exact, to the order of the tensor formula, for a head translated without
 /// turning (R = R₀) in any direction and over any length: the coordinate is then
 /// linear in the pose, its difference between two poses is −a_I and −A_p/D of the
 /// motion between them, and `u` changes by δ for steps along the scan direction.
-/// A step in another direction changes `u` by less than δ, the part of A_p across
-/// e being lost to the one-dimensional stack of slices; `sensor` still moves
-/// fully, so what is lost is the boiling of the grains, not their travel.
+/// Two frames' fields, made for their `pupil`, correlate by γ(δ, φ). A ring of
+/// slices has neither φ nor the part of A_p across e.
 ///
 /// For a turned head the coordinate stays a continuous function of the pose (up to
 /// turns of 180° from R₀) and a surface point under the view keeps its (s,t), but
 /// its differences are those of the tensor formula only to a relative error of
 /// about the angle of R·R₀ᵀ, because small turns and translations do not commute and
 /// no function of the pose can follow them all. So a scan that turns needs one
-/// anchor a pass, with R₀ the orientation in the middle of the pass.
+/// anchor a pass.
 ///
-/// Points that are imaged with another magnification m′ than the view's keep the
-/// grain size, but their grains slip against the surface by (m − m′)/m of its way
-/// while they are lit. A view that the tensor formula is singular at (grazing) has
+/// **Out of focus** the pattern slips on the surface by m·d·(A_p − b), d = 1 −
+/// L_f/L_o, b = Qᵀa (Yamaguchi 1981). A_p grows with the scan while d changes from
+/// one surface point to the next, so that a displacement by it, taken from any
+/// fixed pose, would in the end shear the grains without limit. What slips is the
+/// light through the pupil, and light that has passed it does not come back: each
+/// phasor of the field need only slip from where it was seen in the middle of the
+/// pupil. The plane of phasors is cut into strips across e, one pupil wide, and
+/// strip k is displaced by d·[`slip`](Self::slip)·(u − u_k), u_k the middle of the
+/// strip. A pupil stands on two strips at most. Their fields are independent and
+/// their powers are the areas of pupil they fill: their sum is a Gaussian field of
+/// the same variance (contrast 1), a strip comes in at the pupil's rim and with no
+/// power (no jump), and whatever two frames share is the same phasors, displaced by
+/// the formula, as much as the pupils overlap. No grain is displaced by more than
+/// a blur circle, d·m·D·|A_p − b|/|A_p|, which shears it by that over the depth's
+/// own scale: D/L_o times the slope of the surface. `None` where the surface moves
+/// but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4: then strips never
+/// change and nothing limits the shear.
+///
+/// In focus, points that are imaged with another magnification m′ than the view's
+/// keep the grain size, but their grains slip against the surface by (m − m′)/m of
+/// its way while they are lit; out of focus that is part of d·b, if m is that of
+/// the plane in focus. A view that the tensor formula is singular at (grazing) has
 /// constant `pupil` and `u`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseAnchor {
     view: SurfaceView,
+    wavelength_mm: f64,
     reference: DMat3,
+    start: PupilPlace,
     along: DVec2,
+    slip: Option<DVec2>,
 }
 
+/// |A_p − b|/|A_p| up to which strips of the pupil field limit the shear.
+const MOST_SLIP: f64 = 4.0;
+
 impl PoseAnchor {
-    /// `view` in head coordinates; `head_from_part` the reference orientation;
-    /// `scan_direction` of the head, in head coordinates. If that direction does
-    /// not shift the pupil field, u follows the basis Q's x axis.
-    pub fn new(view: SurfaceView, head_from_part: DMat3, scan_direction: DVec3) -> PoseAnchor {
-        let step = Motion {
-            part: -scan_direction,
-            ..Motion::default()
-        };
+    /// `view` in head coordinates; `start` part_from_head at the start of the scan;
+    /// `scan_step` the way of the head from frame to frame, in head coordinates. If
+    /// it does not shift the pupil field, u follows the basis Q's x axis.
+    pub fn new(
+        view: SurfaceView,
+        start: &Rigid,
+        scan_step: DVec3,
+        wavelength_mm: f64,
+    ) -> PoseAnchor {
         let view = SurfaceView {
             focus_distance: view.pupil_centre.distance(view.point),
             ..view
         };
-        PoseAnchor {
+        let step = speckle_shift(
+            &view,
+            &Motion {
+                part: -scan_step,
+                ..Motion::default()
+            },
+        );
+        let slip = step.sensor - view.magnification * step.pupil;
+        let most = MOST_SLIP * view.magnification.abs() * step.pupil.length();
+        let mut anchor = PoseAnchor {
             view,
-            reference: head_from_part,
-            along: -speckle_shift(&view, &step)
-                .pupil
-                .try_normalize()
-                .unwrap_or(DVec2::NEG_X),
-        }
+            wavelength_mm,
+            reference: start.rotation.transpose(),
+            start: PupilPlace {
+                shift: DVec2::ZERO,
+                defocus: 0.0,
+            },
+            along: -step.pupil.try_normalize().unwrap_or(DVec2::NEG_X),
+            slip: (step.delta > 0.0 && slip.length() <= most).then(|| slip / step.delta),
+        };
+        anchor.start = anchor.coordinate(start).pupil;
+        anchor
+    }
+
+    /// e: direction of the pupil's way over the field.
+    pub fn along(&self) -> DVec2 {
+        self.along
+    }
+
+    /// −m·(A_p − b)/δ of the scan: displacement (mm on the sensor) at which to read
+    /// the pattern of a surface of defocus 1, for each diameter of u.
+    pub fn slip(&self) -> Option<DVec2> {
+        self.slip
     }
 
     /// The pattern coordinate of a pose of the head.
     pub fn coordinate(&self, part_from_head: &Rigid) -> ScanCoordinate {
         let anchored = self.reference * part_from_head.point(self.view.point);
         let turn = part_from_head.rotation.transpose() * self.reference.transpose();
-        let shift = speckle_shift(
-            &self.view,
-            &Motion {
-                part: -anchored,
-                rotation: rotation_vector(&turn),
-                ..Motion::default()
-            },
-        );
+        let motion = Motion {
+            part: -anchored,
+            rotation: rotation_vector(&turn),
+            ..Motion::default()
+        };
+        let shift = speckle_shift(&self.view, &motion);
         let pupil = if self.view.pupil_diameter > 0.0 {
             -shift.pupil / self.view.pupil_diameter
         } else {
             DVec2::ZERO
         };
+        let pupil = PupilPlace {
+            shift: pupil - self.start.shift,
+            defocus: -defocus_phase(&self.view, &motion, self.wavelength_mm) - self.start.defocus,
+        };
         ScanCoordinate {
             sensor: -shift.sensor,
             pupil,
-            u: pupil.dot(self.along),
+            u: pupil.shift.dot(self.along),
         }
     }
 }
@@ -156,7 +211,7 @@ mod tests {
         };
         let shift = speckle_shift(&in_focus, &motion_between(a, b));
         let sensor = to.sensor - from.sensor + shift.sensor;
-        let pupil = (to.pupil - from.pupil) * D + shift.pupil;
+        let pupil = (to.pupil.shift - from.pupil.shift) * D + shift.pupil;
         (
             sensor.length() / shift.sensor.length(),
             pupil.length() / shift.pupil.length(),
@@ -170,7 +225,7 @@ mod tests {
     fn a_head_that_does_not_turn_gets_the_tensor_formula_over_any_length() {
         let scan = DVec3::new(0.1, 1.0, 0.0);
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), start.rotation.transpose(), scan);
+        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
         for way in [scan * 0.02, scan * 700.0, DVec3::new(5.0, 0.3, -2.0)] {
             let end = pose(TURN, FAR + start.vector(way));
             let (sensor, pupil) = mismatch(&anchor, &start, &end);
@@ -186,11 +241,65 @@ mod tests {
         );
     }
 
+    /// Way along the viewing ray and slip are those of the formulas for the motion
+    /// between two poses; rounding as above.
+    #[test]
+    fn defocus_and_slip_are_those_of_the_formulas() {
+        let scan = DVec3::new(0.1, 1.0, 0.2);
+        let start = pose(TURN, FAR);
+        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
+        let at = |n: f64| anchor.coordinate(&pose(TURN, FAR + start.vector(scan * n)));
+        assert_eq!(at(0.0).pupil.shift, DVec2::ZERO);
+        assert_eq!(at(0.0).pupil.defocus, 0.0);
+        let (from, to) = (at(300.0), at(300.1));
+        let motion = Motion {
+            part: -scan * 0.1,
+            ..Motion::default()
+        };
+        let phase = defocus_phase(&view(), &motion, 660e-6);
+        let found = to.pupil.defocus - from.pupil.defocus;
+        assert!(
+            (found + phase).abs() < 1e-8 * phase.abs(),
+            "{found} {phase}"
+        );
+        let length = view().pupil_centre.distance(view().point);
+        let focused = |focus_distance| {
+            let view = SurfaceView {
+                focus_distance,
+                ..view()
+            };
+            speckle_shift(&view, &motion).sensor
+        };
+        let defocus = 0.05;
+        let slip = focused(length * (1.0 - defocus)) - focused(length);
+        let found = anchor.slip().unwrap() * defocus * (to.u - from.u);
+        assert!(
+            (found + slip).length() < 1e-8 * slip.length(),
+            "{found} {slip}"
+        );
+    }
+
+    /// Light that converges on the pupil: A_p vanishes while the surface moves.
+    #[test]
+    fn speckle_that_moves_without_changing_does_not_slip() {
+        let to_pupil = view().pupil_centre - view().point;
+        let n = to_pupil.normalize();
+        let across = DMat3::IDENTITY - DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+        let converging = SurfaceView {
+            source: Source::Wavefront {
+                direction: n,
+                curvature_per_mm: across * (-1.0 / to_pupil.length()),
+            },
+            ..view()
+        };
+        let anchor = PoseAnchor::new(converging, &pose(TURN, FAR), DVec3::Y, 660e-6);
+        assert_eq!(anchor.slip(), None);
+    }
+
     #[test]
     fn a_small_step_with_a_turn_is_first_order_at_the_reference_orientation() {
         let start = pose(TURN, FAR);
-        let reference = start.rotation.transpose();
-        let anchor = PoseAnchor::new(view(), reference, DVec3::Y);
+        let anchor = PoseAnchor::new(view(), &start, DVec3::Y, 660e-6);
         let mut last = (1.0, 1.0);
         for scale in [1e-2, 1e-3, 1e-4] {
             let step = pose(
@@ -206,8 +315,7 @@ mod tests {
 
     #[test]
     fn a_turned_head_is_off_by_about_the_angle() {
-        let reference = pose(TURN, FAR).rotation.transpose();
-        let anchor = PoseAnchor::new(view(), reference, DVec3::Y);
+        let anchor = PoseAnchor::new(view(), &pose(TURN, FAR), DVec3::Y, 660e-6);
         for angle in [0.01, 0.1] {
             let start = pose(TURN, FAR) * pose(DVec3::X * angle, DVec3::ZERO);
             let step = pose(DVec3::new(1e-6, 2e-6, 0.0), DVec3::new(1e-3, 4e-3, 1e-3));
@@ -223,7 +331,7 @@ mod tests {
     #[test]
     fn a_surface_point_keeps_its_place_however_the_head_turns_about_it() {
         let start = pose(TURN, FAR);
-        let anchor = PoseAnchor::new(view(), start.rotation.transpose(), DVec3::Y);
+        let anchor = PoseAnchor::new(view(), &start, DVec3::Y, 660e-6);
         let held = start.point(view().point);
         for turn in [DVec3::new(0.0, 0.3, 0.0), DVec3::new(2.5, 0.0, 1.0)] {
             let rotation = pose(turn, DVec3::ZERO).rotation * start.rotation;
@@ -243,8 +351,9 @@ mod tests {
             normal: ray.any_orthonormal_vector(),
             ..view()
         };
-        let anchor = PoseAnchor::new(grazing, DMat3::IDENTITY, DVec3::Y);
+        let anchor = PoseAnchor::new(grazing, &Rigid::IDENTITY, DVec3::Y, 660e-6);
         let c = anchor.coordinate(&pose(TURN, FAR));
-        assert!(c.sensor.is_finite() && c.pupil.is_finite() && c.u.is_finite());
+        assert!(c.sensor.is_finite() && c.pupil.shift.is_finite() && c.u.is_finite());
+        assert!(c.pupil.defocus.is_finite() && anchor.slip().is_none_or(DVec2::is_finite));
     }
 }

@@ -47,6 +47,12 @@ impl GrainMap {
         self.alpha * (a_i_mm + self.flatten(screen_mm))
     }
 
+    /// A displacement on the sensor (mm) in texels, as [`position`](Self::position)
+    /// adds it.
+    pub fn displacement(&self, mm: DVec2) -> DVec2 {
+        self.alpha * mm
+    }
+
     /// (1 − exp(−cz))/c for z = x + iy and c = g_x − i·g_y, whose derivative
     /// has modulus exp(−g·x).
     fn flatten(&self, z: DVec2) -> DVec2 {

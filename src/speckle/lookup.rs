@@ -9,28 +9,27 @@ use crate::error::Result;
 use glam::{Vec4, Vec4Swizzles};
 use serde::{Deserialize, Serialize};
 
-/// How the pattern is interpolated. Costs are the least of 40 runs of the row
-/// of pixels in `benches/speckle.rs` (one core of an AMD EPYC Milan, baseline
-/// x86-64; up to 1.7 times as much beside other work). Losses are of contrast,
-/// anywhere between texels and slices, at N/d = 4 and 64 slices.
+/// How the pattern is interpolated; what a reading costs is in DESIGN.md. Losses
+/// are of contrast, anywhere between texels and slices, at N/d = 4 and 64 slices.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// Intensity, linear in s, t and u (Bergmann et al. 2016). Loses 7 % of
-    /// the contrast; 9 ns.
+    /// the contrast.
     Trilinear,
     /// Complex field, linear in s, t and u, divided by the variance the blend
     /// leaves. A sum of circular Gaussian fields is one, whatever the weights:
     /// the intensity is exponential at every point and loses nothing (measured
-    /// below 0.1 %); 13 ns. Wants N/d ≥ 4, where interpolation has no visible
+    /// below 0.1 %). Wants N/d ≥ 4, where interpolation has no visible
     /// effect on the grains; halfway between slices they are a slice's width
     /// too large, which adds 0.4 % to the contrast of a pixel with q = 1. That
     /// pixel takes 7 × 7 readings for 0.5 %: see
-    /// [`super::theory::samples_across_pixel`].
+    /// [`super::theory::samples_across_pixel`]. A scan does not read it from a
+    /// ring but from a [`super::frame_field`] of each frame's own.
     Field,
     /// Field blended between slices, its intensity integrated over the pixel
     /// beforehand: one reading is one pixel. Contrast within 1 % of the closed
-    /// form, most of it the slices' 0.4 %; 11 ns. All pixels have the q of the
+    /// form, most of it the slices' 0.4 %. All pixels have the q of the
     /// pattern, so where h varies over the sensor, its contrast does not.
     Prefiltered {
         /// Pixel pitch over minimal speckle size, p/h; at least ½.
@@ -82,7 +81,7 @@ impl Coherence {
         ((1.0 + p * p) / (2.0 * self.independent_patterns as f64)).sqrt()
     }
 
-    fn validate(&self) -> Result<()> {
+    pub(super) fn validate(&self) -> Result<()> {
         let p = self.polarisation_degree;
         if !(0.0..=1.0).contains(&p) {
             return refuse("polarisation_degree", p.to_string(), "a number in [0, 1]");
@@ -104,7 +103,7 @@ impl Coherence {
     /// 2018) and evenly round the path in u. At one place and time they are
     /// independent; the sum repeats, at 1/n of its variance, at the distances
     /// between them, as every pattern does at its period.
-    fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
+    pub(super) fn layers(&self, spec: &PatternSpec) -> Vec<Layer> {
         let n = self.independent_patterns;
         let p = self.polarisation_degree;
         let powers = [(1.0 + p) / 2.0, (1.0 - p) / 2.0];
@@ -128,9 +127,9 @@ impl Coherence {
 }
 
 /// One of the independent patterns of a [`Coherence`].
-struct Layer {
-    weight: f32,
-    offset: Coordinate,
+pub(super) struct Layer {
+    pub weight: f32,
+    pub offset: Coordinate,
 }
 
 /// Interpolated speckle patterns, in memory.

@@ -1,6 +1,7 @@
 //! The pattern coordinate along a path on which the head turns against the part.
 
 use super::anchor::{PoseAnchor, ScanCoordinate};
+use super::frame_field::PupilPlace;
 use super::motion::SurfaceView;
 use crate::math::{DVec2, DVec3, Rigid};
 
@@ -25,10 +26,17 @@ pub struct PathAnchor {
 
 impl PathAnchor {
     /// `view` in head coordinates, then the poses of the frames, at least one.
-    pub fn new(view: SurfaceView, part_from_head: impl IntoIterator<Item = Rigid>) -> PathAnchor {
+    pub fn new(
+        view: SurfaceView,
+        part_from_head: impl IntoIterator<Item = Rigid>,
+        wavelength_mm: f64,
+    ) -> PathAnchor {
         let mut sum = ScanCoordinate {
             sensor: DVec2::ZERO,
-            pupil: DVec2::ZERO,
+            pupil: PupilPlace {
+                shift: DVec2::ZERO,
+                defocus: 0.0,
+            },
             u: 0.0,
         };
         let mut at = vec![sum];
@@ -38,20 +46,21 @@ impl PathAnchor {
         for pose in poses {
             if let Some(from) = last.replace(pose) {
                 // u is its own here, so the anchor's direction does not matter.
-                let anchor = PoseAnchor::new(view, from.rotation.transpose(), DVec3::ZERO);
+                let anchor = PoseAnchor::new(view, &from, DVec3::ZERO, wavelength_mm);
                 let [a, b] = [from, pose].map(|pose| anchor.coordinate(&pose));
-                let step = b.pupil - a.pupil;
+                let step = b.pupil.shift - a.pupil.shift;
                 if step.length_squared() > largest.length_squared() {
                     largest = step;
                 }
                 sum.sensor += b.sensor - a.sensor;
-                sum.pupil += step;
+                sum.pupil.shift += step;
+                sum.pupil.defocus += b.pupil.defocus - a.pupil.defocus;
                 at.push(sum);
             }
         }
         let along = largest.try_normalize().unwrap_or(DVec2::X);
         for coordinate in &mut at {
-            coordinate.u = coordinate.pupil.dot(along);
+            coordinate.u = coordinate.pupil.shift.dot(along);
         }
         PathAnchor { at }
     }
@@ -64,7 +73,10 @@ impl PathAnchor {
         let share = place - before as f64;
         ScanCoordinate {
             sensor: from.sensor + (to.sensor - from.sensor) * share,
-            pupil: from.pupil + (to.pupil - from.pupil) * share,
+            pupil: PupilPlace {
+                shift: from.pupil.shift.lerp(to.pupil.shift, share),
+                defocus: from.pupil.defocus + (to.pupil.defocus - from.pupil.defocus) * share,
+            },
             u: from.u + (to.u - from.u) * share,
         }
     }
@@ -110,7 +122,7 @@ mod tests {
     fn each_step_of_a_full_turn_is_the_tensor_formula_s() {
         let step = 1e-3;
         let frames = (std::f64::consts::TAU / step) as usize;
-        let anchor = PathAnchor::new(view(), (0..frames).map(|k| pose(step * k as f64)));
+        let anchor = PathAnchor::new(view(), (0..frames).map(|k| pose(step * k as f64)), 660e-6);
         let expected = speckle_shift(
             &view(),
             &Motion {
@@ -122,7 +134,7 @@ mod tests {
         for k in [0, 1000, 3141, 3142, frames - 2] {
             let [a, b] = [k, k + 1].map(|k| anchor.coordinate(k as f64));
             let sensor = b.sensor - a.sensor + expected.sensor;
-            let pupil = (b.pupil - a.pupil) * view().pupil_diameter + expected.pupil;
+            let pupil = (b.pupil.shift - a.pupil.shift) * view().pupil_diameter + expected.pupil;
             assert!(
                 sensor.length() < step * expected.sensor.length(),
                 "{k} {sensor}"
@@ -137,8 +149,8 @@ mod tests {
 
     #[test]
     fn two_poses_stand_for_a_path_of_equal_steps() {
-        let all = PathAnchor::new(view(), (0..400).map(|k| pose(0.02 * k as f64)));
-        let two = PathAnchor::new(view(), (0..2).map(|k| pose(0.02 * k as f64)));
+        let all = PathAnchor::new(view(), (0..400).map(|k| pose(0.02 * k as f64)), 660e-6);
+        let two = PathAnchor::new(view(), (0..2).map(|k| pose(0.02 * k as f64)), 660e-6);
         for place in [-0.5, 0.0, 0.3, 1.0, 170.25, 399.5] {
             let (a, b) = (all.coordinate(place), two.coordinate(place));
             // 400 sums of numbers up to 100.
@@ -153,7 +165,7 @@ mod tests {
     #[test]
     fn a_path_of_one_pose_or_of_none_that_moves_stays_at_its_start() {
         for frames in [1, 3] {
-            let anchor = PathAnchor::new(view(), (0..frames).map(|_| pose(0.4)));
+            let anchor = PathAnchor::new(view(), (0..frames).map(|_| pose(0.4)), 660e-6);
             let there = anchor.coordinate(0.5);
             assert_eq!((there.sensor, there.u), (DVec2::ZERO, 0.0));
         }

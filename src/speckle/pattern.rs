@@ -39,6 +39,14 @@ impl Aperture {
         }
     }
 
+    /// Largest extent in any direction, in widths.
+    pub fn extent(&self) -> f64 {
+        match self {
+            Aperture::Square => std::f64::consts::SQRT_2,
+            Aperture::Circle | Aperture::Ellipse { .. } => 1.0,
+        }
+    }
+
     /// Whether `p`, in pupil widths and heights from the centre, is open.
     fn contains(&self, p: DVec2) -> bool {
         match self {
@@ -143,8 +151,27 @@ impl Pattern {
 pub struct PhasorPlane {
     spec: PatternSpec,
     key: Key,
+    /// The phases phasors have: equal steps round the circle, many enough that a
+    /// sum of a few of them is as random as with any phase, and few enough for
+    /// the first cache.
+    phases: Vec<Complex32>,
     fft: Arc<dyn Fft<f32>>,
 }
+
+/// Bits of a phasor's phase.
+const PHASE_BITS: u32 = 12;
+
+/// A pupil transformed along y only, one line per column x of phasors; rows of the
+/// pattern follow each by itself.
+pub(super) struct Columns {
+    lines: Vec<Complex32>,
+    /// Makes |A|² mean 1.
+    scale: f32,
+    phasors: usize,
+}
+
+/// Rows made together: one cache line of each column serves them all.
+pub(super) const ROWS: usize = 8;
 
 impl PhasorPlane {
     /// `spec` must have passed [`PatternSpec::validate`].
@@ -152,19 +179,22 @@ impl PhasorPlane {
         PhasorPlane {
             spec: *spec,
             key: Key::new(spec.seed, Purpose::SpecklePattern),
+            phases: (0..1 << PHASE_BITS)
+                .map(|k| std::f64::consts::TAU * k as f64 / (1 << PHASE_BITS) as f64)
+                .map(|phase| Complex32::new(phase.cos() as f32, phase.sin() as f32))
+                .collect(),
             fft: FftPlanner::new().plan_fft_inverse(spec.size),
         }
     }
 
     /// Unit phasor of texel (x, y) of the plane.
-    fn phasor(&self, x: i64, y: i64) -> Complex32 {
+    pub(super) fn phasor(&self, x: i64, y: i64) -> Complex32 {
         let counter = (y as u32 as u64) << 32 | x as u32 as u64;
-        let (sin, cos) = (std::f64::consts::TAU * self.key.uniform(counter)).sin_cos();
-        Complex32::new(cos as f32, sin as f32)
+        self.phases[(self.key.bits(counter) >> (u64::BITS - PHASE_BITS)) as usize]
     }
 
     /// Whether the pupil centred at `centre` (texels) lets texel (x, y) pass.
-    fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
+    pub(super) fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
         let width = self.spec.pupil_width();
         let height = width * self.spec.aperture.ratio();
         let offset = DVec2::new(x as f64, y as f64) - centre;
@@ -174,7 +204,7 @@ impl PhasorPlane {
     }
 
     /// Offsets from the carrier a pupil can reach, plus rounding of the carrier.
-    fn reach(&self) -> i64 {
+    pub(super) fn reach(&self) -> i64 {
         (self.spec.pupil_width() / 2.0) as i64 + 1
     }
 
@@ -209,7 +239,7 @@ impl PhasorPlane {
         self.transform(centre, |offset| self.sharpening(offset))
     }
 
-    fn sharpening(&self, offset: i64) -> f64 {
+    pub(super) fn sharpening(&self, offset: i64) -> f64 {
         sinc(offset as f64 / self.spec.size as f64).powi(-2)
     }
 
@@ -233,50 +263,87 @@ impl PhasorPlane {
     /// The pattern with phasors of amplitude weight(x − x₀)·weight(y − y₀).
     fn transform(&self, centre: DVec2, weight: impl Fn(i64) -> f64) -> Pattern {
         let size = self.spec.size;
-        let origin = carrier(centre);
-        let reach = self.reach();
-        let wrap = |offset: i64| offset.rem_euclid(size as i64) as usize;
-
-        // One line per pupil column x, transformed along y: all other
-        // columns are zero and stay so.
-        let columns = (2 * reach + 1) as usize;
-        let mut lines = vec![Complex32::ZERO; columns * size];
-        let (mut phasors, mut power) = (0, 0f32);
-        for (line, dx) in lines.chunks_exact_mut(size).zip(-reach..) {
-            for dy in -reach..=reach {
-                let (x, y) = (origin[0] + dx, origin[1] + dy);
-                if self.open(centre, x, y) {
-                    let amplitude = (weight(dx) * weight(dy)) as f32;
-                    line[wrap(dy)] = self.phasor(x, y) * amplitude;
-                    power += amplitude * amplitude;
-                    phasors += 1;
-                }
-            }
-        }
-        let mut scratch = vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()];
-        self.fft.process_with_scratch(&mut lines, &mut scratch);
-
-        let scale = 1.0 / power.sqrt();
+        let weights: Vec<Complex32> = (-self.reach()..=self.reach())
+            .map(|offset| Complex32::new(weight(offset) as f32, 0.0))
+            .collect();
+        let columns = self.columns(centre, [&weights, &weights], |_, _| true);
         let mut field = vec![Complex32::ZERO; size * size];
-        // Eight rows at a time: one cache line of each column serves them all.
-        for (block, rows) in field.chunks_exact_mut(8 * size).enumerate() {
-            for (line, dx) in lines.chunks_exact(size).zip(-reach..) {
-                let values = &line[8 * block..8 * block + 8];
-                for (row, value) in rows.chunks_exact_mut(size).zip(values) {
-                    row[wrap(dx)] = value * scale;
-                }
-            }
+        let mut scratch = self.scratch();
+        for (block, rows) in field.chunks_exact_mut(ROWS * size).enumerate() {
+            self.rows(&columns, block, rows, &mut scratch);
         }
-        self.fft.process_with_scratch(&mut field, &mut scratch);
         Pattern {
             size,
             field,
-            carrier: origin,
+            carrier: carrier(centre),
+            phasors: columns.phasors,
+        }
+    }
+
+    /// The first half of a pattern: phasors inside the pupil at `centre`, times
+    /// `factors` by their offset in x and in y, from −[`reach`](Self::reach) on.
+    /// Those that `keep` refuses (texels of the plane) are left out of the field
+    /// but not of the scale.
+    pub(super) fn columns(
+        &self,
+        centre: DVec2,
+        factors: [&[Complex32]; 2],
+        keep: impl Fn(i64, i64) -> bool,
+    ) -> Columns {
+        let size = self.spec.size;
+        let origin = carrier(centre);
+        let reach = self.reach();
+        // All other columns are zero and stay so.
+        let mut lines = vec![Complex32::ZERO; factors[0].len() * size];
+        let (mut phasors, mut power) = (0, 0f32);
+        let columns = lines.chunks_exact_mut(size).zip(factors[0]);
+        for ((line, fx), dx) in columns.zip(-reach..) {
+            for (fy, dy) in factors[1].iter().zip(-reach..) {
+                let (x, y) = (origin[0] + dx, origin[1] + dy);
+                if self.open(centre, x, y) {
+                    let factor = fx * fy;
+                    power += factor.norm_sqr();
+                    phasors += 1;
+                    if keep(x, y) {
+                        line[dy.rem_euclid(size as i64) as usize] = self.phasor(x, y) * factor;
+                    }
+                }
+            }
+        }
+        self.fft
+            .process_with_scratch(&mut lines, &mut self.scratch());
+        Columns {
+            lines,
+            scale: 1.0 / power.sqrt(),
             phasors,
         }
     }
+
+    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which are zero.
+    pub(super) fn rows(
+        &self,
+        columns: &Columns,
+        block: usize,
+        rows: &mut [Complex32],
+        scratch: &mut [Complex32],
+    ) {
+        let size = self.spec.size;
+        for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
+            let column = dx.rem_euclid(size as i64) as usize;
+            let values = &line[ROWS * block..][..ROWS];
+            for (row, value) in rows.chunks_exact_mut(size).zip(values) {
+                row[column] = value * columns.scale;
+            }
+        }
+        self.fft.process_with_scratch(rows, scratch);
+    }
+
+    pub(super) fn scratch(&self) -> Vec<Complex32> {
+        vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()]
+    }
 }
 
-fn carrier(centre: DVec2) -> [i64; 2] {
+/// The texel of the plane taken as zero frequency.
+pub(super) fn carrier(centre: DVec2) -> [i64; 2] {
     [centre.x.round() as i64, centre.y.round() as i64]
 }

@@ -50,7 +50,9 @@ pub struct MotionRow {
     pub delta: f64,
     /// The seed's d₁ + d₂ + d₃.
     pub seed_sum: f64,
-    /// Overlap law at δ, what a texture of slices in u = δ shows.
+    /// Phase of the defocus by the motion along the viewing ray, rad.
+    pub defocus_phase: f64,
+    /// Overlap law at δ, what a ring of slices shows at u = δ.
     pub gamma_overlap: f64,
     /// Overlap law with the defocus of the motion along the viewing ray.
     pub gamma_defocused: f64,
@@ -102,6 +104,7 @@ fn measure_motion(case: &MotionCase, sampling: &WaveSampling, key: Key) -> Resul
         name: case.name.clone(),
         delta: shift.delta,
         seed_sum: seed_scalar_sum(&case.view, &case.motion),
+        defocus_phase: phase,
         gamma_overlap: overlap_correlation(shift.delta),
         gamma_defocused: overlap_correlation_defocused(shift.delta, phase),
         displacement_um: (shift.sensor * 1e3).to_array(),

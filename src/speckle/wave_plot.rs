@@ -100,8 +100,10 @@ impl Panel {
 /// Correlation and displacement of [`MotionRow`]s, one drawing: left, γ over δ by
 /// waves with 95 % intervals, the overlap law as a curve, and a diamond where the
 /// prediction with defocus lies; middle and right, measured minus predicted γ and
-/// displacement (µm on the sensor) of each row; below, the names of the rows.
-pub fn motion_plot(rows: &[MotionRow]) -> String {
+/// displacement (µm on the sensor) of each row, γ also of the fields a scan reads
+/// (`textures`, one a row); below, the names of the rows.
+pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
+    assert_eq!(rows.len(), textures.len(), "one texture a row");
     let deltas = rows.iter().map(|r| r.delta);
     let correlation = Panel {
         frame: [70.0, 50.0, 300.0, 360.0],
@@ -125,26 +127,37 @@ pub fn motion_plot(rows: &[MotionRow]) -> String {
     }
     correlation_legend(&mut svg, [180.0, 70.0]);
 
-    let gamma = |row: &MotionRow| Some([minus(&row.waves.gamma, row.gamma_defocused)]);
+    let gamma = |k: usize| {
+        let (row, value) = (&rows[k], textures[k]);
+        let texture = Estimate {
+            value,
+            low: value,
+            high: value,
+        };
+        Some([&row.waves.gamma, &texture].map(|e| minus(e, row.gamma_defocused)))
+    };
     let titles = ["Correlation: waves minus prediction", "row", "γ"];
-    residual_panel(&mut svg, 460.0, titles, rows, gamma);
+    residual_panel(&mut svg, 460.0, titles, rows.len(), gamma);
     let titles = [
         "Displacement: waves minus tensor formula",
         "row",
         "µm on the sensor",
     ];
-    residual_panel(&mut svg, 850.0, titles, rows, |row| {
+    residual_panel(&mut svg, 850.0, titles, rows.len(), |k| {
+        let row = &rows[k];
         let found = row.waves.displacement?;
         let axis = |k: usize| minus(&found[k].scaled(1e3), row.displacement_um[k]);
         Some([axis(0), axis(1)])
     });
-    for (k, (colour, name)) in [(WAVES, "along x"), (WAVES_OTHER, "along y")]
-        .iter()
-        .enumerate()
-    {
-        let y = 70.0 + 18.0 * k as f64;
-        dot(&mut svg, [1070.0, y - 4.0], colour);
-        text(&mut svg, [1080.0, y], "start", name);
+    for (x, names) in [
+        (665.0, ["waves", "scan's fields"]),
+        (1070.0, ["along x", "along y"]),
+    ] {
+        for (k, (colour, name)) in [WAVES, WAVES_OTHER].into_iter().zip(names).enumerate() {
+            let y = 70.0 + 18.0 * k as f64;
+            dot(&mut svg, [x, y - 4.0], colour);
+            text(&mut svg, [x + 10.0, y], "start", name);
+        }
     }
     for (k, row) in rows.iter().enumerate() {
         let place = [
@@ -174,19 +187,17 @@ fn residual_panel<const N: usize>(
     svg: &mut String,
     left: f64,
     titles: [&str; 3],
-    rows: &[MotionRow],
-    residuals: impl Fn(&MotionRow) -> Option<[Estimate; N]>,
+    rows: usize,
+    residuals: impl Fn(usize) -> Option<[Estimate; N]>,
 ) {
-    let found: Vec<(f64, [Estimate; N])> = rows
-        .iter()
-        .enumerate()
-        .filter_map(|(k, row)| Some(((k + 1) as f64, residuals(row)?)))
+    let found: Vec<(f64, [Estimate; N])> = (0..rows)
+        .filter_map(|k| Some(((k + 1) as f64, residuals(k)?)))
         .collect();
     let bounds = found.iter().flat_map(|(_, r)| r);
     let reach = bounds.fold(0.01, |m: f64, e| m.max(-e.low).max(e.high)) * 1.1;
     let panel = Panel {
         frame: [left, 50.0, 300.0, 360.0],
-        x: (0.0, rows.len() as f64 + 1.0),
+        x: (0.0, rows as f64 + 1.0),
         y: (-reach, reach),
     };
     let row_step = nice_step(panel.x.1).max(1.0);

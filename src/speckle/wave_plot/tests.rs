@@ -28,6 +28,7 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
         name: name.into(),
         delta: 0.2,
         seed_sum: 0.3,
+        defocus_phase: 0.8,
         gamma_overlap: 0.558,
         gamma_defocused: 0.5,
         displacement_um: [10.0, 0.0],
@@ -37,12 +38,16 @@ fn the_motion_plot_shows_every_row_and_escapes_its_name() {
         },
     };
     let moved = Some([estimate(0.01), estimate(0.0)]);
-    let svg = motion_plot(&[row("tilt <1°> & shift", moved), row("lost", None)]);
+    let svg = motion_plot(
+        &[row("tilt <1°> & shift", moved), row("lost", None)],
+        &[0.49, 0.51],
+    );
     assert_drawn(&svg);
     assert!(svg.contains("1: tilt &lt;1°> &amp; shift") && svg.contains("2: lost"));
-    // Two of γ, twice, two of the one displacement, three of the legends.
-    assert_eq!(svg.matches("<circle").count(), 9);
-    assert_drawn(&motion_plot(&[]));
+    // Two of γ, twice, two of the texture, two of the one displacement, five of the
+    // legends.
+    assert_eq!(svg.matches("<circle").count(), 13);
+    assert_drawn(&motion_plot(&[], &[]));
 }
 
 #[test]
