@@ -78,7 +78,7 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
         "json" => serde_json::from_slice::<serde_json::Value>(bytes).is_ok(),
         "png" => image::load_from_memory(bytes).is_ok(),
         "html" => text().trim_end().ends_with("</html>"),
-        "csv" => text().ends_with('\n') && text().lines().all(|line| line.split(',').count() == 7),
+        "csv" => text().ends_with('\n') && text().lines().all(|line| line.split(',').count() == 9),
         "ply" => {
             let text = text();
             let vertices = text.split("element vertex ").nth(1).unwrap();
@@ -88,8 +88,8 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
                 .position(|w| w == b"end_header\n")
                 .unwrap()
                 + 11;
-            // Three doubles, two floats, two integers.
-            bytes.len() - header == vertices * 40
+            // Three doubles, two floats, two integers, the flags.
+            bytes.len() - header == vertices * 42
         }
         // Its own checksums say how much of it is whole: tests/resume.rs.
         "journal" => true,

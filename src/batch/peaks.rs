@@ -207,7 +207,7 @@ fn spread(
     };
     let columns = PHASES * trials;
     let image = condition.image(columns, lookup, seed);
-    let mut by_phase = vec![Vec::with_capacity(trials); PHASES];
+    let mut by_phase = vec![Vec::new(); PHASES];
     for peak in find_peaks(&image, columns, &settings) {
         let column = peak.column as usize;
         by_phase[column % PHASES].push(peak.row - condition.truth(column));
@@ -299,8 +299,9 @@ const NAMES: [&str; 4] = [
 ];
 
 /// What the two rows of panels show.
-const QUANTITIES: [(&str, fn(&FinderError) -> f64); 2] =
-    [("bias", |e| e.bias_px), ("noise", |e| e.noise_px)];
+const QUANTITIES: [Quantity; 2] = [("bias", |e| e.bias_px), ("noise", |e| e.noise_px)];
+
+type Quantity = (&'static str, fn(&FinderError) -> f64);
 
 fn caption(svg: &mut String) {
     let lines = [
