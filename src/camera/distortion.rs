@@ -60,8 +60,7 @@ impl Distortion {
         while lens.radius < (1.0 + BEYOND) * sensor {
             let next = lens.radius + step;
             let stretch = lens.stretch_from(lens.radius, next);
-            // Written so that NaN folds.
-            if !(stretch >= FOLD) {
+            if stretch.is_nan() || stretch < FOLD {
                 if sensor.is_finite() {
                     break;
                 }

@@ -128,8 +128,7 @@ impl Calibration {
         let point = other.camera.principal_point - camera.principal_point;
         let (from, to) = (coefficients(camera), coefficients(&other.camera));
         let turn = other.head_from_camera.rotation * self.head_from_camera.rotation.transpose();
-        let turn = DQuat::from_mat3(&turn);
-        let turn = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis();
+        let turn = rotation_vector(&turn);
         let moved = other.head_from_camera.translation - self.head_from_camera.translation;
         let [u, v] = self.plane_axes();
         let n = other.plane_normal / other.plane_normal.dot(self.plane_normal);
@@ -249,6 +248,12 @@ impl Calibration {
     pub fn standard_uncertainties(&self) -> Parameters {
         std::array::from_fn(|i| self.covariance[i][i].sqrt())
     }
+}
+
+/// Axis times angle, the angle in [0, π].
+pub(super) fn rotation_vector(rotation: &DMat3) -> DVec3 {
+    let q = DQuat::from_mat3(rotation);
+    (if q.w < 0.0 { -q } else { q }).to_scaled_axis()
 }
 
 /// How a lens without distortion would respond to some.

@@ -1,6 +1,6 @@
 //! `calibration.json`.
 
-use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients};
+use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients, rotation_vector};
 use super::normal::cholesky;
 use crate::camera::{CameraModel, Distortion};
 use crate::error::{Error, InputError, Place, Result};
@@ -72,7 +72,7 @@ impl From<Calibration> for CalibrationFile {
     fn from(calibration: Calibration) -> CalibrationFile {
         let camera = &calibration.camera;
         let pose = &calibration.head_from_camera;
-        let turn = DQuat::from_mat3(&pose.rotation).to_scaled_axis();
+        let turn = rotation_vector(&pose.rotation);
         CalibrationFile {
             camera: CameraFile {
                 resolution_px: camera.resolution.to_array(),
