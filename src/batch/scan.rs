@@ -9,6 +9,7 @@ use crate::inspect::cloud::{self, CloudPoint};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::picture::{ParallelView, cloud_picture, encode_counts, encode_for_eyes};
 use crate::inspect::report::{Report, SampleFrame};
+use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
 use crate::profile::{Peak, find_peaks};
 use crate::scene::Scene;
@@ -29,6 +30,8 @@ pub struct ScanSummary {
     pub measured_share: f64,
     /// `null` if nothing was measured.
     pub deviation: Option<DeviationStatistics>,
+    /// `null` if no point is free of flags.
+    pub uncertainty: Option<UncertaintyStatistics>,
     pub cloud: PathBuf,
     pub report: PathBuf,
     /// The frame shown in the report, and the cloud over the part.
@@ -94,6 +97,7 @@ pub fn scan(
         columns,
         measured_share: points.len() as f64 / (columns as f64 * scene.scan.frames as f64),
         deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
+        uncertainty: UncertaintyStatistics::of(&points),
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),
         pictures: ["frame.png", "cloud.png"].map(|name| out.join(name)),
