@@ -46,10 +46,10 @@ impl Shown<'_> {
             color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
                 diverging(d, limits.deviation_um)
             }),
-            "Red: outside the material. Blue: inside. Points without a flag.",
+            "Red: outside the material. Blue: inside. Sound points.",
             &views,
             &|p| diverging(p.deviation * 1e3, limits.deviation_um),
-            &|p| p.flags.is_empty(),
+            &|p| p.is_sound(),
         )];
         control.check()?;
         maps.push(self.map(
@@ -57,10 +57,11 @@ impl Shown<'_> {
             color_bar(0.0, limits.sigma_um, "µm", &|s| {
                 sequential(s, limits.sigma_um)
             }),
-            "Predicted for each point from speckle, noise and calibration. Points without a flag.",
+            "Predicted for each point from speckle, noise and calibration; not stated for \
+             those flagged outside. Sound points.",
             &views[..2],
             &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
-            &|p| p.flags.is_empty(),
+            &|p| p.is_sound(),
         ));
         control.check()?;
         let [across, along] = [self.poses.first(), self.poses.last()]
@@ -120,8 +121,8 @@ impl Shown<'_> {
         })
     }
 
-    fn unflagged(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
-        self.points.iter().filter(|p| p.flags.is_empty())
+    fn sound(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
+        self.points.iter().filter(|p| p.is_sound())
     }
 
     fn lead(&self) -> String {
@@ -129,7 +130,7 @@ impl Shown<'_> {
             return "No point was measured: no line was found in any frame.".into();
         };
         format!(
-            "{} points without a flag of {}. They lie {} ± {} µm from the CAD (mean and standard \
+            "{} sound points of {}. They lie {} ± {} µm from the CAD (mean and standard \
              deviation); 98 of 100 within {} to {} µm.",
             d.points,
             self.points.len(),
@@ -206,10 +207,10 @@ impl Shown<'_> {
     }
 
     fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
-        let deviations: Vec<f64> = self.unflagged().map(|p| p.deviation * 1e3).collect();
-        let sigmas: Vec<f64> = self.unflagged().map(|p| p.deviation_sigma * 1e3).collect();
+        let deviations: Vec<f64> = self.sound().map(|p| p.deviation * 1e3).collect();
+        let sigmas: Vec<f64> = self.sound().map(|p| p.deviation_sigma * 1e3).collect();
         let ratios: Vec<f64> = self
-            .unflagged()
+            .sound()
             .filter(|p| p.deviation_sigma > 0.0)
             .map(|p| p.deviation / p.deviation_sigma)
             .collect();
@@ -295,9 +296,9 @@ impl Shown<'_> {
                 ),
                 mode(
                     "flags",
-                    "Points with a flag in magenta, others in grey-blue.".into(),
+                    "Doubtful points (with a flag other than outside) in magenta, others in grey-blue.".into(),
                     &|p| {
-                        if p.flags.is_empty() {
+                        if p.is_sound() {
                             UNFLAGGED
                         } else {
                             FLAGGED
@@ -359,7 +360,7 @@ impl Shown<'_> {
             depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
         };
         let doubts = |frame: u32| {
-            let flagged = by_frame(frame).iter().filter(|p| !p.flags.is_empty());
+            let flagged = by_frame(frame).iter().filter(|p| !p.is_sound());
             flagged.count() as f64
         };
         let most = |of: &dyn Fn(u32) -> f64| {
@@ -406,7 +407,7 @@ impl Shown<'_> {
     }
 }
 
-/// Where the colours end: 98 of 100 unflagged points lie within; a nanometre where
+/// Where the colours end: 98 of 100 sound points lie within; a nanometre where
 /// all is exact.
 struct Limits {
     deviation_um: f64,
@@ -416,8 +417,8 @@ struct Limits {
 impl Limits {
     fn of(points: &[CloudPoint]) -> Limits {
         let most = |value: &dyn Fn(&CloudPoint) -> f64| {
-            let unflagged = points.iter().filter(|p| p.flags.is_empty());
-            let mut values: Vec<f64> = unflagged.map(|p| value(p).abs() * 1e3).collect();
+            let sound = points.iter().filter(|p| p.is_sound());
+            let mut values: Vec<f64> = sound.map(|p| value(p).abs() * 1e3).collect();
             values.sort_by(f64::total_cmp);
             let at = values.get(values.len() * 98 / 100);
             at.map_or(1.0, |&d| d.max(1e-3))

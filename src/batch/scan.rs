@@ -14,6 +14,7 @@ use crate::inspect::coverage::{HeadPose, Scanned, SurfaceCoverage, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::formats::Format;
 use crate::inspect::report::count_flags;
+use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -33,13 +34,12 @@ pub struct ScanSummary {
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
     pub points: usize,
-    /// Of points without a flag; `null` if there is none.
+    /// Of sound points ([`CloudPoint::is_sound`]); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
     pub deviation_of_all: Option<DeviationStatistics>,
-    /// Share of the points without a flag whose deviation lies within 1.96 times its
-    /// standard uncertainty: 0.95 if nothing but the predicted errors is at work.
-    pub within_95_percent_interval: Option<f64>,
+    /// `null` if no point is free of flags.
+    pub uncertainty: Option<UncertaintyStatistics>,
     /// Number of points with each flag.
     pub flags: BTreeMap<&'static str, usize>,
     /// `null` if the scene does not ask for it or too few points were measured.
@@ -261,13 +261,13 @@ fn finish(
     Ok(summary)
 }
 
-/// Brings the cloud onto the CAD if the scene asks for it. Points with a flag move
+/// Brings the cloud onto the CAD if the scene asks for it. Doubtful points move
 /// along, but say nothing.
 fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment> {
     if !simulation.scene.measure.align {
         return None;
     }
-    let sound = points.iter().filter(|p| p.flags.is_empty());
+    let sound = points.iter().filter(|p| p.is_sound());
     let positions: Vec<DVec3> = sound.map(|p| p.position).collect();
     let fit = best_fit(&simulation.accel, &positions)?;
     points
@@ -278,8 +278,7 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
 
 fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path) -> ScanSummary {
     let columns = scene.camera.sensor.resolution.x;
-    let sound = || points.iter().filter(|p| p.flags.is_empty());
-    let within = sound().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
+    let sound = points.iter().filter(|p| p.is_sound());
     let flags = count_flags(points).into_iter();
     ScanSummary {
         scene: scene.path.clone(),
@@ -287,12 +286,9 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         columns,
         measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
-        deviation: DeviationStatistics::of(sound().map(|p| p.deviation)),
+        deviation: DeviationStatistics::of(sound.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
-        within_95_percent_interval: match sound().count() {
-            0 => None,
-            n => Some(within.count() as f64 / n as f64),
-        },
+        uncertainty: UncertaintyStatistics::of(points),
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
         alignment: None,
         coverage: None,

@@ -21,6 +21,7 @@ use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise}
 use crate::speckle::wave_motion::{MotionCase, MotionRow, WaveSampling, measure_motions};
 use crate::speckle::wave_patch::{lit, patch_filling_view};
 use crate::speckle::wave_plot::{centroid_plot, motion_plot};
+use crate::speckle::wave_spot::{SpotRow, limit_setups, spot_height_noise};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -48,8 +49,14 @@ pub struct WaveSummary {
     pub motions: Vec<ComparedMotion>,
     /// Empty for a scene's patch.
     pub centroids: Vec<CentroidRow>,
+    /// Empty for a scene's patch.
+    pub spots: Vec<SpotRow>,
     pub pictures: Vec<PathBuf>,
 }
+
+/// Surfaces of a spot for each of a row of motions: a spot has one centroid, a line
+/// one in each row.
+const SPOTS_A_ROW: u64 = 4;
 
 /// Width of the compared region of an image, grains.
 const REGION_GRAINS: f64 = 24.0;
@@ -73,12 +80,18 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         realisations: effort.realisations,
         seed: effort.seed,
     })?;
+    let mut spots = Vec::new();
+    for setup in limit_setups(SPOTS_A_ROW * effort.realisations, effort.seed) {
+        control.check()?;
+        spots.push(spot_height_noise(&setup)?);
+    }
     let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
     let textures = textures(&motions, effort.seed)?;
     files::write_bytes(&pictures[0], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
         centroids,
+        spots,
         pictures,
     };
     files::write_bytes(
@@ -121,6 +134,7 @@ pub fn wave_patch(
     let summary = WaveSummary {
         motions: compared(motions, &textures),
         centroids: Vec::new(),
+        spots: Vec::new(),
         pictures,
     };
     let brightest = image.intensity.iter().copied().fold(0.0, f64::max);

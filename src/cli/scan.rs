@@ -76,14 +76,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let summary = summary?;
     let deviation = match &summary.deviation {
         Some(d) => format!(
-            "{} points, {} of them without a flag; their deviation from CAD: mean {} µm, standard \
-             deviation {} µm",
+            "{} points, {} of them sound; their deviation from CAD: mean {} µm, standard deviation {} µm",
             summary.points,
             d.points,
             short(d.mean_um),
             short(d.std_um)
         ),
-        None => "no point was measured: no line was found in any frame".to_owned(),
+        None => format!("{} points, none of them sound", summary.points),
     };
     let mut text = format!(
         "{deviation}\nopen the report:  {}\npoint cloud:      {}",

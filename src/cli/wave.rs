@@ -3,6 +3,7 @@ use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
+use crate::speckle::wave_spot::SpotRow;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -100,8 +101,39 @@ fn text(summary: &WaveSummary) -> String {
             row.width, row.law, e.value, e.low, e.high
         );
     }
+    text += &spots(&summary.spots);
     for picture in &summary.pictures {
         let _ = writeln!(text, "{}", picture.display());
     }
     text
+}
+
+/// Height noise of spots over the limit.
+fn spots(rows: &[SpotRow]) -> String {
+    let mut text = String::new();
+    if rows.is_empty() {
+        return text;
+    }
+    let _ = writeln!(
+        text,
+        "\n{:>8} {:>8} {:>8} {:>12} {:>10} {:>26}   height noise of a spot",
+        "sin u", "θ", "λ, nm", "limit, µm", "expected", "waves/limit (95 %)"
+    );
+    for row in rows {
+        let _ = writeln!(
+            text,
+            "{:>8.3} {:>7.0}° {:>8.0} {:>12.3} {:>10.3} {:>10.3} ({:.3}–{:.3})",
+            row.setup.sin_aperture,
+            row.setup.triangulation.to_degrees(),
+            row.setup.wavelength_mm * 1e6,
+            row.limit_um,
+            row.expected,
+            row.ratio.value,
+            row.ratio.low,
+            row.ratio.high
+        );
+    }
+    let squares: f64 = rows.iter().map(|row| row.ratio.value.powi(2)).sum();
+    let all = (squares / rows.len() as f64).sqrt();
+    text + &format!("{:>50} {all:>10.3}\n", "all rows")
 }

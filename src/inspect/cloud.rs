@@ -26,6 +26,14 @@ pub struct CloudPoint {
     pub flags: Flags,
 }
 
+impl CloudPoint {
+    /// Whether nothing is doubtful about its peak. That its uncertainty is not
+    /// stated (OUTSIDE) does not make it so.
+    pub fn is_sound(&self) -> bool {
+        self.flags.difference(Flags::OUTSIDE).is_empty()
+    }
+}
+
 /// Writes a binary PLY: x, y, z (double, mm, part frame), deviation, sigma
 /// and deviation_sigma (float, mm), intensity (float, counts), frame and column (uint), flags (ushort; the bits of
 /// [`Flags`]).

@@ -1,6 +1,7 @@
 //! Predicted uncertainties beside those of a Monte Carlo run, along the columns.
 
 use super::chart::short;
+use super::cloud::CloudPoint;
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -22,6 +23,33 @@ pub struct ColumnUncertainty {
     pub covered: usize,
     /// Movement of the point for a row more, µm.
     pub um_per_px: f64,
+}
+
+/// A cloud's uncertainties, and how its deviations compare with them.
+#[derive(Debug, Clone, Serialize)]
+pub struct UncertaintyStatistics {
+    /// Points without a flag; the others do not count.
+    pub points: usize,
+    /// Median of their positions' standard uncertainties, µm.
+    pub median_sigma_um: f64,
+    /// Share whose deviation is within 1.96 times its own standard uncertainty: 0.95
+    /// of a part that is as its CAD says, less of any other.
+    pub within_95: f64,
+}
+
+impl UncertaintyStatistics {
+    /// `None` without such points.
+    pub fn of(points: &[CloudPoint]) -> Option<UncertaintyStatistics> {
+        let points = || points.iter().filter(|p| p.flags.is_empty());
+        let mut sigmas: Vec<f64> = points().map(|p| p.sigma * 1e3).collect();
+        sigmas.sort_by(f64::total_cmp);
+        let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
+        Some(UncertaintyStatistics {
+            points: sigmas.len(),
+            median_sigma_um: *sigmas.get(sigmas.len() / 2)?,
+            within_95: within.count() as f64 / sigmas.len() as f64,
+        })
+    }
 }
 
 /// Left, top, width and height of the panels, px.

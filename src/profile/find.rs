@@ -44,7 +44,9 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
         .chunks_exact(rows)
         .map(|column| detect(column, z, &mut scratch))
         .collect();
-    let width = 2.354_82 * median(found.iter().flatten().map(|c| c.sigma));
+    // Of a line that speckle breaks up, half the height tells a grain's width.
+    let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
+    let width = 2.354_82 * sigma;
     let mut peaks = Vec::with_capacity(columns);
     for (number, (column, found)) in by_column.chunks_exact(rows).zip(&found).enumerate() {
         let Some(found) = found else { continue };
@@ -129,7 +131,6 @@ fn chosen<'a>(
         background: found.background,
         top,
         height,
-        // Speckle breaks a line up: the top grain's width is not the line's.
         sigma: half_height_sigma(column, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
