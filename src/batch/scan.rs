@@ -2,7 +2,6 @@
 //! all, the manifest that says the run is complete.
 
 use super::{Control, Coverage, Simulation, files};
-use crate::accel;
 use crate::error::Result;
 use crate::inspect::chart::short;
 use crate::inspect::cloud::{self, CloudPoint};
@@ -25,6 +24,8 @@ pub struct ScanSummary {
     pub scene: PathBuf,
     pub frames: u32,
     pub columns: u32,
+    /// What found the triangles rays met.
+    pub accel: String,
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
     /// `null` if nothing was measured.
@@ -40,7 +41,7 @@ pub struct ScanSummary {
 struct Manifest<'a> {
     program: &'static str,
     version: &'static str,
-    embree: String,
+    accel: &'a str,
     scene: &'a Path,
     scene_sha256: &'a str,
     seed: u64,
@@ -92,6 +93,7 @@ pub fn scan(
         scene: scene.path.clone(),
         frames: scene.scan.frames,
         columns,
+        accel: scene.accel.version(),
         measured_share: points.len() as f64 / (columns as f64 * scene.scan.frames as f64),
         deviation: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         cloud: out.join("cloud.ply"),
@@ -107,7 +109,7 @@ pub fn scan(
     let manifest = Manifest {
         program: env!("CARGO_PKG_NAME"),
         version: env!("CARGO_PKG_VERSION"),
-        embree: accel::embree::version(),
+        accel: &summary.accel,
         scene: &scene.path,
         scene_sha256: &scene.hash,
         seed: scene.seed,

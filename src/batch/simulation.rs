@@ -56,7 +56,7 @@ impl<'s> Simulation<'s> {
         let plan = plan(scene);
         Ok(Simulation {
             scene,
-            accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
+            accel: Accel::build_with(scene.accel, &scene.mesh, rayon::current_num_threads())?,
             plan,
             speckle: match &scene.speckle {
                 Some(model) => Some(Patterns::new(scene, model)?),

@@ -6,6 +6,7 @@ mod scan;
 mod speckle;
 mod wave;
 
+use crate::accel::Backend;
 use crate::batch::Coverage;
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -61,14 +62,24 @@ struct SceneArguments {
     /// Seed to use instead of the scene's
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    #[command(flatten)]
+    accel: AccelArguments,
 }
 
 impl SceneArguments {
     fn load(&self) -> Result<crate::scene::Scene> {
         let mut scene = crate::scene::Scene::load(&self.scene)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
+        scene.accel = self.accel.accel;
         Ok(scene)
     }
+}
+
+#[derive(clap::Args)]
+struct AccelArguments {
+    /// What finds the triangles rays meet
+    #[arg(long, value_enum, default_value_t)]
+    accel: Backend,
 }
 
 /// Which samples to trace.

@@ -2,6 +2,7 @@
 
 use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
+use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::laser::Laser;
@@ -40,6 +41,8 @@ pub struct Scene {
     /// `None`: laser light is taken as incoherent.
     pub speckle: Option<SpeckleModel>,
     pub write_frames: bool,
+    /// What finds the triangles rays meet.
+    pub accel: Backend,
     #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
@@ -137,6 +140,7 @@ impl Resolver<'_> {
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
+            accel: Backend::default(),
             mesh,
             surface: Lambert { reflectance },
             world_from_part: Rigid::from_euler_xyz(rotation, position.into()),
