@@ -17,7 +17,7 @@ use std::sync::Mutex;
     non_upper_case_globals,
     clippy::all
 )]
-mod ffi {
+pub(super) mod ffi {
     include!(concat!(env!("OUT_DIR"), "/embree.rs"));
 }
 
@@ -55,13 +55,13 @@ unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: 
     first.get_or_insert_with(|| format!("{text} (error {code})"));
 }
 
-struct Device {
-    handle: ffi::RTCDevice,
+pub(super) struct Device {
+    pub(super) handle: ffi::RTCDevice,
     error: Box<ErrorSlot>,
 }
 
 impl Device {
-    fn new(threads: usize) -> Result<Device> {
+    pub(super) fn new(threads: usize) -> Result<Device> {
         let config = CString::new(format!("threads={threads}")).expect("no NUL in it");
         let mut code = 0;
         // SAFETY: both pointers are valid for the call.
@@ -113,7 +113,7 @@ impl Drop for Device {
 
 /// Embree's scene of one mesh.
 pub struct Tree {
-    scene: ffi::RTCScene,
+    pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     _device: Device,
 }
@@ -132,13 +132,16 @@ impl Drop for Tree {
 }
 
 #[repr(align(64))]
-struct Valid([i32; WIDTH]);
+pub(super) struct Valid(pub(super) [i32; WIDTH]);
 
 impl Tree {
     /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
     /// such as too little memory.
     pub(super) fn build(mesh: &Mesh, part: &PartBox, threads: usize) -> Result<Tree> {
-        let device = Device::new(threads)?;
+        Tree::on(Device::new(threads)?, mesh, part, true)
+    }
+
+    pub(super) fn on(device: Device, mesh: &Mesh, part: &PartBox, robust: bool) -> Result<Tree> {
         let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
         let mut vertex_buffer = std::ptr::null_mut();
         let mut triangle_buffer = std::ptr::null_mut();
@@ -146,6 +149,7 @@ impl Tree {
         let scene = unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
+                robust,
                 vertices,
                 triangles,
                 &mut vertex_buffer,
@@ -229,7 +233,7 @@ impl Tree {
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
-        unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
+        unsafe { ffi::lt_intersect16(self.scene, true, valid.0.as_ptr(), &mut packet) };
         for i in 0..rays.len() {
             if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY {
                 let t = advanced[i] + packet.ray.tfar[i] as f64;
@@ -242,7 +246,7 @@ impl Tree {
     pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
         let (valid, mut packet, _) = Tree::pack(rays, part);
         // SAFETY: as in `closest`.
-        unsafe { ffi::lt_occluded16(self.scene, valid.0.as_ptr(), &mut packet) };
+        unsafe { ffi::lt_occluded16(self.scene, true, valid.0.as_ptr(), &mut packet) };
         // Embree sets tfar to -∞ on a hit; lanes left out still hold -1.
         (0..WIDTH)
             .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)

@@ -32,8 +32,8 @@ fn embree_writes_nothing_past_its_structs() {
     };
     // SAFETY: scene live and committed, structs aligned to 64 bytes.
     unsafe {
-        ffi::lt_intersect16(tree.scene, valid.0.as_ptr(), &mut closest.value);
-        ffi::lt_occluded16(tree.scene, valid.0.as_ptr(), &mut occluded.value);
+        ffi::lt_intersect16(tree.scene, true, valid.0.as_ptr(), &mut closest.value);
+        ffi::lt_occluded16(tree.scene, true, valid.0.as_ptr(), &mut occluded.value);
     }
     assert!(closest.value.hit.geomID.contains(&0), "no ray hit");
     assert_eq!(closest.guard, [0xA5; 1024]);
@@ -62,7 +62,8 @@ fn an_error_of_embree_becomes_an_error() {
     // A mesh no machine has memory for: Embree's own report.
     let (mut v, mut t) = (std::ptr::null_mut(), std::ptr::null_mut());
     // SAFETY: the device is live, the out-pointers valid.
-    let scene = unsafe { ffi::lt_mesh_scene_new(device.handle, 1 << 50, 1 << 50, &mut v, &mut t) };
+    let scene =
+        unsafe { ffi::lt_mesh_scene_new(device.handle, true, 1 << 50, 1 << 50, &mut v, &mut t) };
     assert!(scene.is_null());
     assert!(device.check().is_err());
 }

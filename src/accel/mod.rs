@@ -6,6 +6,8 @@ pub mod brute;
 mod clusters;
 #[cfg(feature = "embree")]
 mod embree;
+#[cfg(feature = "race")]
+pub mod embree_race;
 mod hierarchy;
 mod refine;
 mod rust_bvh;

@@ -1,5 +1,7 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
+#[cfg(feature = "race")]
+mod bench_bvh;
 mod files;
 mod render;
 mod scan;
@@ -7,6 +9,8 @@ mod simulation;
 mod speckle;
 mod wave;
 
+#[cfg(feature = "race")]
+pub use bench_bvh::{BvhBench, bench_bvh};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanSummary, scan};
 pub use simulation::{Simulation, plan};

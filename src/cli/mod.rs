@@ -1,5 +1,6 @@
 //! The command line: one file a command.
 
+mod bench_bvh;
 mod check;
 mod render;
 mod scan;
@@ -50,6 +51,8 @@ enum Command {
     Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
     Wave(wave::Arguments),
+    /// Race Embree against hierarchies in Rust on a mesh: speed, memory, misses
+    BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
 }
@@ -169,6 +172,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Scan(arguments) => scan::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
+        Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -11,6 +11,7 @@ pub enum Purpose {
     SensorNoise = 2,
     WaveScatterers = 3,
     Bootstrap = 4,
+    RaceRays = 16,
 }
 
 /// Stafford's mix 13 of the 64-bit finaliser (the output function of

@@ -5,5 +5,5 @@ mod locate;
 mod optics;
 mod resolve;
 
-pub use file::{SceneFile, schema};
+pub use file::{SceneFile, Unit, schema};
 pub use resolve::{LinearScan, Scene, SpeckleModel};

@@ -1,6 +1,6 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
-use super::file::{PartTable, SceneFile, Unit};
+use super::file::{PartTable, SceneFile};
 use super::locate::Source;
 use crate::accel::Backend;
 use crate::camera::Camera;
@@ -182,7 +182,7 @@ impl Resolver<'_> {
                 return Err(self.source.wrong("part.mesh.file", &expected));
             }
             let bytes = mesh::read(&file)?;
-            let mesh = mesh::parse(&file, &bytes, unit_mm(table.unit))?;
+            let mesh = mesh::parse(&file, &bytes, table.unit.mm())?;
             return Ok((mesh, Sha256::digest(&bytes).to_vec()));
         }
         if let Some(table) = &part.plane {
@@ -204,15 +204,5 @@ impl Resolver<'_> {
             "part.step_block",
             shapes::step_block(table.size_mm.into(), table.step_mm),
         )
-    }
-}
-
-fn unit_mm(unit: Unit) -> f64 {
-    match unit {
-        Unit::Micrometre => 1e-3,
-        Unit::Millimetre => 1.0,
-        Unit::Centimetre => 10.0,
-        Unit::Metre => 1000.0,
-        Unit::Inch => 25.4,
     }
 }
