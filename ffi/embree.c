@@ -16,15 +16,20 @@ void lt_device_on_error(RTCDevice device, RTCErrorFunction function, void *user)
   rtcSetDeviceErrorFunction(device, function, user);
 }
 
+void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, void *user) {
+  rtcSetDeviceMemoryMonitorFunction(device, function, user);
+}
+
 void lt_device_release(RTCDevice device) { rtcReleaseDevice(device); }
 
-RTCScene lt_mesh_scene_new(RTCDevice device, size_t vertices, size_t triangles,
-                           float **vertex_buffer, uint32_t **triangle_buffer) {
+RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
+                           size_t triangles, float **vertex_buffer,
+                           uint32_t **triangle_buffer) {
   RTCScene scene = rtcNewScene(device);
   if (!scene) return NULL;
   /* Not COMPACT: with ROBUST, coherent 16-wide occlusion of Debian 12's 3.13.5
    * never returns on AVX-512. Not HIGH: ROBUST silently ignores it. */
-  rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneFlags(scene, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
   rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_MEDIUM);
   RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
   if (!geometry) {
@@ -55,34 +60,59 @@ void lt_scene_release(RTCScene scene) { rtcReleaseScene(scene); }
 
 #if RTC_VERSION_MAJOR >= 4
 
-void lt_intersect16(RTCScene scene, const int *valid, struct RTCRayHit16 *rays) {
+void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
+                    struct RTCRayHit16 *rays) {
   struct RTCIntersectArguments arguments;
   rtcInitIntersectArguments(&arguments);
-  arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
+  if (coherent) arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
   rtcIntersect16(valid, scene, rays, &arguments);
 }
 
-void lt_occluded16(RTCScene scene, const int *valid, struct RTCRay16 *rays) {
+void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
+                   struct RTCRay16 *rays) {
   struct RTCOccludedArguments arguments;
   rtcInitOccludedArguments(&arguments);
-  arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
+  if (coherent) arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
   rtcOccluded16(valid, scene, rays, &arguments);
+}
+
+void lt_intersect1(RTCScene scene, struct RTCRayHit *ray) {
+  rtcIntersect1(scene, ray, NULL);
+}
+
+void lt_occluded1(RTCScene scene, struct RTCRay *ray) {
+  rtcOccluded1(scene, ray, NULL);
 }
 
 #else
 
-void lt_intersect16(RTCScene scene, const int *valid, struct RTCRayHit16 *rays) {
+static struct RTCIntersectContext context_of(bool coherent) {
   struct RTCIntersectContext context;
   rtcInitIntersectContext(&context);
-  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  if (coherent) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  return context;
+}
+
+void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
+                    struct RTCRayHit16 *rays) {
+  struct RTCIntersectContext context = context_of(coherent);
   rtcIntersect16(valid, scene, &context, rays);
 }
 
-void lt_occluded16(RTCScene scene, const int *valid, struct RTCRay16 *rays) {
-  struct RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
+                   struct RTCRay16 *rays) {
+  struct RTCIntersectContext context = context_of(coherent);
   rtcOccluded16(valid, scene, &context, rays);
+}
+
+void lt_intersect1(RTCScene scene, struct RTCRayHit *ray) {
+  struct RTCIntersectContext context = context_of(false);
+  rtcIntersect1(scene, &context, ray);
+}
+
+void lt_occluded1(RTCScene scene, struct RTCRay *ray) {
+  struct RTCIntersectContext context = context_of(false);
+  rtcOccluded1(scene, &context, ray);
 }
 
 #endif

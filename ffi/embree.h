@@ -6,6 +6,7 @@
 #ifndef LASERTRACE_EMBREE_H
 #define LASERTRACE_EMBREE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -32,19 +33,28 @@ uint32_t lt_library_version(RTCDevice device);
 /* NULL if Embree cannot start; *error then holds the RTCError. */
 RTCDevice lt_device_new(const char *config, uint32_t *error);
 void lt_device_on_error(RTCDevice device, RTCErrorFunction function, void *user);
+/* Calls `function` with every change of the memory the device holds, bytes. */
+void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, void *user);
 void lt_device_release(RTCDevice device);
 
-/* A robust, medium-quality scene of one triangle mesh whose buffers (three
- * floats a vertex, three indices a triangle) are still to be filled. */
-RTCScene lt_mesh_scene_new(RTCDevice device, size_t vertices, size_t triangles,
-                           float **vertex_buffer, uint32_t **triangle_buffer);
+/* A medium-quality scene, robust if so asked, of one triangle mesh whose buffers
+ * (three floats a vertex, three indices a triangle) are still to be filled. */
+RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
+                           size_t triangles, float **vertex_buffer,
+                           uint32_t **triangle_buffer);
 void lt_scene_commit(RTCScene scene);
 void lt_scene_release(RTCScene scene);
 
-/* 16 coherent rays, closest hit and any hit. `valid` holds -1 for a ray to be
- * traced and 0 for one to be left out; all pointers are 64-byte aligned. */
-void lt_intersect16(RTCScene scene, const int *valid, struct RTCRayHit16 *rays);
-void lt_occluded16(RTCScene scene, const int *valid, struct RTCRay16 *rays);
+/* 16 rays, closest hit and any hit; `coherent` says that they run side by side.
+ * `valid` holds -1 for a ray to be traced and 0 for one to be left out; all
+ * pointers are 64-byte aligned. */
+void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
+                    struct RTCRayHit16 *rays);
+void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
+                   struct RTCRay16 *rays);
+/* One ray; 16-byte aligned. */
+void lt_intersect1(RTCScene scene, struct RTCRayHit *ray);
+void lt_occluded1(RTCScene scene, struct RTCRay *ray);
 
 /* Calls `visit` for each triangle that may lie within query->radius. */
 void lt_point_query(RTCScene scene, struct RTCPointQuery *query,

@@ -38,6 +38,8 @@ pub mod laser;
 pub mod math;
 pub mod mesh;
 pub mod profile;
+#[cfg(feature = "race")]
+pub mod race;
 pub mod scene;
 pub mod speckle;
 pub mod surface;

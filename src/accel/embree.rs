@@ -1,11 +1,11 @@
-//! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before
-//! they are narrowed to f32, and ray origins are advanced in f64 to the mesh's
-//! bounding box, so that neither a far-off part nor a long standoff costs digits.
+//! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before they
+//! are narrowed to f32, so that a far-off part costs no digits.
 
-use super::refine::{Tolerance, nearest_on_triangle, refine};
-use super::{Hit, Nearest, Ray, WIDTH};
+use super::hierarchy::PartBox;
+use super::refine::nearest_on_triangle;
+use super::{Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
-use crate::math::{Aabb, DVec3};
+use crate::math::DVec3;
 use crate::mesh::Mesh;
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::Mutex;
@@ -17,7 +17,7 @@ use std::sync::Mutex;
     non_upper_case_globals,
     clippy::all
 )]
-mod ffi {
+pub(super) mod ffi {
     include!(concat!(env!("OUT_DIR"), "/embree.rs"));
 }
 
@@ -55,13 +55,13 @@ unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: 
     first.get_or_insert_with(|| format!("{text} (error {code})"));
 }
 
-struct Device {
-    handle: ffi::RTCDevice,
+pub(super) struct Device {
+    pub(super) handle: ffi::RTCDevice,
     error: Box<ErrorSlot>,
 }
 
 impl Device {
-    fn new(threads: usize) -> Result<Device> {
+    pub(super) fn new(threads: usize) -> Result<Device> {
         let config = CString::new(format!("threads={threads}")).expect("no NUL in it");
         let mut code = 0;
         // SAFETY: both pointers are valid for the call.
@@ -111,23 +111,20 @@ impl Drop for Device {
     }
 }
 
-/// Bounding-volume hierarchy over one mesh.
-pub struct Accel<'m> {
-    scene: ffi::RTCScene,
-    mesh: &'m Mesh,
-    bounds: Aabb,
-    center: DVec3,
+/// Embree's scene of one mesh.
+pub struct Tree {
+    pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     _device: Device,
 }
 
 // SAFETY: Embree's scenes may be queried from many threads once committed, and
 // nothing here changes one after that.
-unsafe impl Send for Accel<'_> {}
+unsafe impl Send for Tree {}
 // SAFETY: as above.
-unsafe impl Sync for Accel<'_> {}
+unsafe impl Sync for Tree {}
 
-impl Drop for Accel<'_> {
+impl Drop for Tree {
     fn drop(&mut self) {
         // SAFETY: the handle is live and released only here.
         unsafe { ffi::lt_scene_release(self.scene) }
@@ -135,15 +132,16 @@ impl Drop for Accel<'_> {
 }
 
 #[repr(align(64))]
-struct Valid([i32; WIDTH]);
+pub(super) struct Valid(pub(super) [i32; WIDTH]);
 
-impl<'m> Accel<'m> {
+impl Tree {
     /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
     /// such as too little memory.
-    pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
-        let device = Device::new(threads)?;
-        let bounds = mesh.bounds();
-        let center = bounds.center();
+    pub(super) fn build(mesh: &Mesh, part: &PartBox, threads: usize) -> Result<Tree> {
+        Tree::on(Device::new(threads)?, mesh, part, true)
+    }
+
+    pub(super) fn on(device: Device, mesh: &Mesh, part: &PartBox, robust: bool) -> Result<Tree> {
         let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
         let mut vertex_buffer = std::ptr::null_mut();
         let mut triangle_buffer = std::ptr::null_mut();
@@ -151,6 +149,7 @@ impl<'m> Accel<'m> {
         let scene = unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
+                robust,
                 vertices,
                 triangles,
                 &mut vertex_buffer,
@@ -171,58 +170,20 @@ impl<'m> Accel<'m> {
             )
         };
         for (out, p) in vertex_buffer.chunks_exact_mut(3).zip(&mesh.positions) {
-            out.copy_from_slice(&(*p - center).as_vec3().to_array());
+            out.copy_from_slice(&(*p - part.center).as_vec3().to_array());
         }
         triangle_buffer.copy_from_slice(mesh.triangles.as_flattened());
-        let accel = Accel {
+        let tree = Tree {
             scene,
-            mesh,
-            bounds,
-            center,
             _device: device,
         };
         // SAFETY: the scene is live and its buffers are filled.
         unsafe { ffi::lt_scene_commit(scene) };
-        accel._device.check()?;
-        Ok(accel)
+        tree._device.check()?;
+        Ok(tree)
     }
 
-    pub fn mesh(&self) -> &'m Mesh {
-        self.mesh
-    }
-
-    pub fn bounds(&self) -> Aabb {
-        self.bounds
-    }
-
-    /// A length (mm) that f32 tracing cannot resolve on this mesh: 2⁻²⁰ of the
-    /// largest coordinate, eight roundings of a vertex. Shadow rays start this
-    /// far off their surface.
-    pub fn resolution(&self) -> f64 {
-        (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
-    }
-
-    /// Distances between which the ray is inside the bounding box.
-    pub fn interval(&self, ray: &Ray) -> Option<(f64, f64)> {
-        let margin = DVec3::splat(2.0 * self.resolution());
-        let inverse = ray.direction.recip();
-        let near = (self.bounds.min - margin - ray.origin) * inverse;
-        let far = (self.bounds.max + margin - ray.origin) * inverse;
-        // A ray parallel to a slab and on its very face gives 0·∞ = NaN, which
-        // these comparisons pass over. It is on the widened box, so it meets
-        // nothing, and kept or dropped is the same. (f64::min and max cost four
-        // times as much for what they promise about NaN.)
-        let (mut enter, mut leave) = (0.0f64, ray.t_max);
-        for axis in 0..3 {
-            let (a, b) = (near[axis], far[axis]);
-            let (first, last) = if a < b { (a, b) } else { (b, a) };
-            enter = if first > enter { first } else { enter };
-            leave = if last < leave { last } else { leave };
-        }
-        (enter <= leave).then_some((enter, leave))
-    }
-
-    fn pack(&self, rays: &[Ray]) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
+    fn pack(rays: &[Ray], part: &PartBox) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
         assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
         let mut valid = Valid([0; WIDTH]);
         let mut advanced = [0.0; WIDTH];
@@ -241,51 +202,28 @@ impl<'m> Accel<'m> {
             flags: [0; WIDTH],
         };
         for (i, ray) in rays.iter().enumerate() {
-            let Some((enter, leave)) = self.interval(ray) else {
+            let Some(inside) = part.inside(ray) else {
                 continue;
             };
-            let origin = ray.origin + ray.direction * enter - self.center;
             valid.0[i] = -1;
-            advanced[i] = enter;
-            let (origin, direction) = (origin.as_vec3(), ray.direction.as_vec3());
-            (packet.org_x[i], packet.org_y[i], packet.org_z[i]) = origin.into();
+            advanced[i] = inside.advanced;
+            let direction = ray.direction.as_vec3();
+            (packet.org_x[i], packet.org_y[i], packet.org_z[i]) = inside.origin.into();
             (packet.dir_x[i], packet.dir_y[i], packet.dir_z[i]) = direction.into();
-            packet.tfar[i] = (leave - enter) as f32;
+            packet.tfar[i] = inside.length as f32;
         }
         (valid, packet, advanced)
     }
 
-    /// No hit's point is further than this from its triangle, mm. f32 may pass a
-    /// ray some 60 roundings (2⁻¹⁸ of the half size) beside a triangle, and on a
-    /// plane seen at an angle θ from edge-on that is 1/sin θ times as far: down to
-    /// 1° nothing is lost, and below only what lies beside an edge.
-    pub fn overshoot(&self) -> f64 {
-        self.resolution() * 256.0
-    }
-
-    /// Greatest difference between the distance Embree finds and the one that is
-    /// taken after refinement, mm.
-    pub fn refinement(&self) -> f64 {
-        self.bounds.size().length() * 1e-3
-    }
-
-    fn tolerance(&self) -> Tolerance {
-        Tolerance {
-            along: self.refinement(),
-            beside: self.overshoot(),
-        }
-    }
-
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
-    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
-    /// distance; else as if nothing were hit.
-    pub fn closest(
+    /// Calls `found` for each ray that meets the mesh, with its number, the triangle
+    /// and the distance (mm).
+    pub(super) fn closest(
         &self,
         rays: &[Ray],
-        wanted: impl Fn(usize, f64) -> bool,
-    ) -> [Option<Hit>; WIDTH] {
-        let tolerance = self.tolerance();
-        let (valid, ray, advanced) = self.pack(rays);
+        part: &PartBox,
+        mut found: impl FnMut(usize, u32, f64),
+    ) {
+        let (valid, ray, advanced) = Tree::pack(rays, part);
         let mut packet = ffi::RTCRayHit16 {
             ray,
             // SAFETY: RTCHit16 is floats and integers, for which all-zero bytes
@@ -295,24 +233,20 @@ impl<'m> Accel<'m> {
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
-        unsafe { ffi::lt_intersect16(self.scene, valid.0.as_ptr(), &mut packet) };
-        let mut hits = [None; WIDTH];
-        for (i, (hit, ray)) in hits.iter_mut().zip(rays).enumerate() {
-            let t = advanced[i] + packet.ray.tfar[i] as f64;
-            if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY && wanted(i, t) {
-                let triangle = packet.hit.primID[i];
-                let corners = self.mesh.triangle(triangle as usize);
-                *hit = refine(ray, triangle, corners, t, tolerance);
+        unsafe { ffi::lt_intersect16(self.scene, true, valid.0.as_ptr(), &mut packet) };
+        for i in 0..rays.len() {
+            if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY {
+                let t = advanced[i] + packet.ray.tfar[i] as f64;
+                found(i, packet.hit.primID[i], t);
             }
         }
-        hits
     }
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.
-    pub fn occluded(&self, rays: &[Ray]) -> u16 {
-        let (valid, mut packet, _) = self.pack(rays);
+    pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
+        let (valid, mut packet, _) = Tree::pack(rays, part);
         // SAFETY: as in `closest`.
-        unsafe { ffi::lt_occluded16(self.scene, valid.0.as_ptr(), &mut packet) };
+        unsafe { ffi::lt_occluded16(self.scene, true, valid.0.as_ptr(), &mut packet) };
         // Embree sets tfar to -∞ on a hit; lanes left out still hold -1.
         (0..WIDTH)
             .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)
@@ -320,7 +254,7 @@ impl<'m> Accel<'m> {
     }
 
     /// The point of the mesh nearest to `p`, in f64.
-    pub fn nearest(&self, p: DVec3) -> Nearest {
+    pub(super) fn nearest(&self, p: DVec3, mesh: &Mesh, part: &PartBox) -> Nearest {
         struct Search<'a> {
             mesh: &'a Mesh,
             p: DVec3,
@@ -351,16 +285,16 @@ impl<'m> Accel<'m> {
             true
         }
         let mut search = Search {
-            mesh: self.mesh,
+            mesh,
             p,
-            slack: self.resolution() + (p - self.center).length() * 2f64.powi(-20),
+            slack: part.resolution() + (p - part.center).length() * 2f64.powi(-20),
             best: Nearest {
                 triangle: u32::MAX,
                 point: p,
                 distance: f64::INFINITY,
             },
         };
-        let [x, y, z] = (p - self.center).as_vec3().to_array();
+        let [x, y, z] = (p - part.center).as_vec3().to_array();
         let mut query = ffi::RTCPointQuery {
             x,
             y,

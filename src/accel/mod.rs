@@ -1,14 +1,19 @@
-//! Ray–mesh intersection: Embree finds the triangle in f32, `refine` finds the
-//! point on it in f64, `brute` is the slow oracle both are tested against.
+//! Ray–mesh intersection: Embree or a tree in Rust finds the triangle, `refine`
+//! the point on it in f64; `brute` is the slow oracle they are tested against.
 //! Everything here is in the part's own frame (mm).
 
 pub mod brute;
 mod clusters;
-pub mod embree;
+#[cfg(feature = "embree")]
+mod embree;
+#[cfg(feature = "race")]
+pub mod embree_race;
+mod hierarchy;
 mod refine;
+mod rust_bvh;
 
 pub use clusters::{Clusters, Found, HalfSpace};
-pub use embree::Accel;
+pub use hierarchy::{Accel, Backend};
 pub use refine::{Tolerance, facing_normal, refine};
 
 use crate::math::DVec3;

@@ -34,7 +34,7 @@ pub fn checksum(bytes: &[u8]) -> Checksum {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunKey {
     pub version: String,
-    pub embree: String,
+    pub accel: String,
     pub scene_sha256: String,
     pub seed: u64,
     pub frames: Range<u32>,
@@ -49,8 +49,8 @@ impl RunKey {
         };
         match () {
             () if old.version != self.version => differ("version", &old.version, &self.version),
-            () if old.embree != self.embree => {
-                differ("Embree's version", &old.embree, &self.embree)
+            () if old.accel != self.accel => {
+                differ("the intersection library", &old.accel, &self.accel)
             }
             () if old.scene_sha256 != self.scene_sha256 => {
                 Some("the scene or a file it names has changed".into())
@@ -266,7 +266,7 @@ mod tests {
     fn key() -> RunKey {
         RunKey {
             version: "1".into(),
-            embree: "4".into(),
+            accel: "4".into(),
             scene_sha256: "ab".into(),
             seed: 7,
             frames: 3..8,
@@ -364,7 +364,7 @@ mod tests {
                 "version was \"1\" and is \"2\"",
             ),
             (
-                other(|k| k.embree = "3".into()),
+                other(|k| k.accel = "3".into()),
                 "Embree's version was \"4\"",
             ),
             (

@@ -1,5 +1,7 @@
 //! Frames and files: many frames at once, nothing half-written left behind.
 
+#[cfg(feature = "race")]
+mod bench_bvh;
 mod calibrate;
 mod files;
 mod frames;
@@ -17,6 +19,8 @@ mod synthetic;
 mod uncertainty;
 mod wave;
 
+#[cfg(feature = "race")]
+pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};

@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Serialize)]
 pub struct RenderSummary {
     pub frame: u32,
+    /// What found the triangles rays met.
+    pub accel: String,
     pub png: PathBuf,
     pub exr: PathBuf,
     pub max_count: u16,
@@ -55,6 +57,7 @@ pub fn render(
     files::write_exr(&exr_path, size, channels)?;
     Ok(RenderSummary {
         frame,
+        accel: scene.accel.version(),
         png,
         exr: exr_path,
         max_count: counts.iter().copied().max().unwrap_or(0),

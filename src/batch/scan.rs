@@ -5,7 +5,6 @@ use super::frames::Run;
 use super::journal::{Journal, RunKey};
 use super::report::Shown;
 use super::{Control, Coverage, Simulation, files};
-use crate::accel;
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::chart::short;
@@ -100,7 +99,7 @@ pub fn scan(
     check_geometry(scene, options)?;
     let key = RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        embree: accel::embree::version(),
+        accel: scene.accel.version(),
         scene_sha256: scene.hash.clone(),
         seed: scene.seed,
         frames: frames.clone(),
@@ -128,7 +127,7 @@ pub fn scan(
 
     let run_table = vec![
         ("lasertrace", key.version.clone()),
-        ("intersection", format!("Embree {}", key.embree)),
+        ("intersection", key.accel.clone()),
         ("scene", format!("SHA-256 {}", key.scene_sha256)),
         ("seed", key.seed.to_string()),
         ("threads", rayon::current_num_threads().to_string()),

@@ -68,7 +68,7 @@ impl<'s> Simulation<'s> {
     fn measuring(scene: &'s Scene) -> Result<Simulation<'s>> {
         Ok(Simulation {
             scene,
-            accel: Accel::build(&scene.mesh, rayon::current_num_threads())?,
+            accel: Accel::build_with(scene.accel, &scene.mesh, rayon::current_num_threads())?,
             plan: plan(scene),
             calibration: scene
                 .calibration

@@ -1,5 +1,6 @@
 //! The command line: one file a command.
 
+mod bench_bvh;
 mod calibrate;
 mod check;
 mod peaks;
@@ -9,6 +10,7 @@ mod speckle;
 mod uncertainty;
 mod wave;
 
+use crate::accel::Backend;
 use crate::batch::Coverage;
 use crate::error::{Error, Result};
 use clap::{Parser, Subcommand};
@@ -58,6 +60,8 @@ enum Command {
     Peaks(peaks::Arguments),
     /// Hold predicted uncertainties against the scatter over many seeds
     Uncertainty(uncertainty::Arguments),
+    /// Race Embree against hierarchies in Rust on a mesh: speed, memory, misses
+    BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
 }
@@ -70,14 +74,24 @@ struct SceneArguments {
     /// Seed to use instead of the scene's
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
+    #[command(flatten)]
+    accel: AccelArguments,
 }
 
 impl SceneArguments {
     fn load(&self) -> Result<crate::scene::Scene> {
         let mut scene = crate::scene::Scene::load(&self.scene)?;
         scene.seed = self.seed.unwrap_or(scene.seed);
+        scene.accel = self.accel.accel;
         Ok(scene)
     }
+}
+
+#[derive(clap::Args)]
+struct AccelArguments {
+    /// What finds the triangles rays meet
+    #[arg(long, value_enum, default_value_t)]
+    accel: Backend,
 }
 
 /// Which samples to trace.
@@ -175,6 +189,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
+        Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{AccelArguments, Output, STOP};
 use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
 use crate::error::Result;
 use crate::scene::Scene;
@@ -21,6 +21,8 @@ pub struct Arguments {
     /// Seed of the surfaces
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    accel: AccelArguments,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -31,7 +33,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         realisations: arguments.realisations,
         seed: arguments.seed,
     };
-    let scene = arguments.scene.as_deref().map(Scene::load).transpose()?;
+    let mut scene = arguments.scene.as_deref().map(Scene::load).transpose()?;
+    if let Some(scene) = &mut scene {
+        scene.accel = arguments.accel.accel;
+    }
     let rows = scene.as_ref().map_or(batch::reference_motions(), |_| 3);
     let bar = output.progress(rows as u64, "motions");
     let control = Control {

@@ -12,6 +12,7 @@ pub enum Purpose {
     WaveScatterers = 3,
     Bootstrap = 4,
     Calibration = 7,
+    RaceRays = 16,
 }
 
 /// Stafford's mix 13 of the 64-bit finaliser (the output function of

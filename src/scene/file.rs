@@ -77,18 +77,35 @@ pub struct MeshTable {
     pub unit: Unit,
 }
 
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema, clap::ValueEnum)]
 pub enum Unit {
     #[serde(rename = "um")]
+    #[value(name = "um")]
     Micrometre,
     #[serde(rename = "mm")]
+    #[value(name = "mm")]
     Millimetre,
     #[serde(rename = "cm")]
+    #[value(name = "cm")]
     Centimetre,
     #[serde(rename = "m")]
+    #[value(name = "m")]
     Metre,
     #[serde(rename = "inch")]
     Inch,
+}
+
+impl Unit {
+    /// Its length, mm.
+    pub fn mm(self) -> f64 {
+        match self {
+            Unit::Micrometre => 1e-3,
+            Unit::Millimetre => 1.0,
+            Unit::Centimetre => 10.0,
+            Unit::Metre => 1000.0,
+            Unit::Inch => 25.4,
+        }
+    }
 }
 
 /// A rectangle in the part's xy plane, facing +z, centred on its origin.

@@ -7,6 +7,6 @@ mod path;
 mod poses;
 mod resolve;
 
-pub use file::{Moves, SceneFile, schema};
+pub use file::{Moves, SceneFile, Unit, schema};
 pub use path::{Motion, ScanPath};
 pub use resolve::{Measure, Scene, SpeckleModel};

@@ -1,8 +1,9 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
-use super::file::{PartTable, SceneFile, Unit};
+use super::file::{PartTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
+use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::laser::Laser;
@@ -42,6 +43,8 @@ pub struct Scene {
     /// `None`: laser light is taken as incoherent.
     pub speckle: Option<SpeckleModel>,
     pub write_frames: bool,
+    /// What finds the triangles rays meet.
+    pub accel: Backend,
     #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
@@ -156,6 +159,7 @@ impl Resolver<'_> {
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
+            accel: Backend::default(),
             mesh,
             surface: Lambert { reflectance },
             part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
@@ -229,7 +233,7 @@ impl Resolver<'_> {
                 return Err(self.source.wrong("part.mesh.file", &expected));
             }
             let bytes = mesh::read(&file)?;
-            let mesh = mesh::parse(&file, &bytes, unit_mm(table.unit))?;
+            let mesh = mesh::parse(&file, &bytes, table.unit.mm())?;
             return Ok((mesh, Sha256::digest(&bytes).to_vec()));
         }
         if let Some(table) = &part.plane {
@@ -251,15 +255,5 @@ impl Resolver<'_> {
             "part.step_block",
             shapes::step_block(table.size_mm.into(), table.step_mm),
         )
-    }
-}
-
-fn unit_mm(unit: Unit) -> f64 {
-    match unit {
-        Unit::Micrometre => 1e-3,
-        Unit::Millimetre => 1.0,
-        Unit::Centimetre => 10.0,
-        Unit::Metre => 1000.0,
-        Unit::Inch => 25.4,
     }
 }

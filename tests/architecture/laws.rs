@@ -11,6 +11,7 @@ pub const MAY_IMPORT: &[(&str, &[&str])] = &[
         &[
             "service",
             "batch",
+            "race",
             "scene",
             "inspect",
             "profile",
@@ -47,6 +48,7 @@ pub const MAY_IMPORT: &[(&str, &[&str])] = &[
     (
         "batch",
         &[
+            "race",
             "scene",
             "inspect",
             "profile",
@@ -106,6 +108,8 @@ pub const MAY_IMPORT: &[(&str, &[&str])] = &[
     ("laser", &["math", "error"]),
     ("speckle", &["math", "error"]),
     ("surface", &["math", "error"]),
+    // Embree against other crates: no light.
+    ("race", &["accel", "mesh", "math", "error"]),
     ("accel", &["mesh", "math", "error"]),
     ("mesh", &["math", "error"]),
     ("math", &["error"]),

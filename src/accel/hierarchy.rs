@@ -1,0 +1,209 @@
+//! The hierarchy over a mesh as the rest of the program sees it: a backend finds
+//! the triangle, and what is done in f64 around it is the same for all backends.
+
+#[cfg(feature = "embree")]
+use super::embree;
+use super::refine::{Tolerance, refine};
+use super::{Hit, Nearest, Ray, WIDTH, rust_bvh};
+use crate::error::Result;
+use crate::math::{Aabb, DVec3};
+use crate::mesh::Mesh;
+use glam::Vec3;
+
+/// What finds the triangle a ray meets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// Embree, in f32
+    #[cfg(feature = "embree")]
+    #[default]
+    Embree,
+    /// Pure Rust, in f64: slower, and without a miss at edges and vertices
+    #[cfg_attr(not(feature = "embree"), default)]
+    Rust,
+}
+
+impl Backend {
+    /// Name and version of the library behind it, for manifests.
+    pub fn version(self) -> String {
+        match self {
+            #[cfg(feature = "embree")]
+            Backend::Embree => format!("Embree {}", embree::version()),
+            Backend::Rust => format!("Rust, on obvhs {}", rust_bvh::OBVHS),
+        }
+    }
+}
+
+/// The box around a mesh, and what f32 relative to its middle is good for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PartBox {
+    pub bounds: Aabb,
+    pub center: DVec3,
+}
+
+/// The part of a ray inside the box, narrowed to f32.
+pub(super) struct Inside {
+    /// Where the ray enters, relative to the middle of the box, mm.
+    pub origin: Vec3,
+    /// Distance from the ray's origin to there, mm.
+    pub advanced: f64,
+    pub length: f64,
+}
+
+impl PartBox {
+    pub fn new(mesh: &Mesh) -> PartBox {
+        let bounds = mesh.bounds();
+        PartBox {
+            bounds,
+            center: bounds.center(),
+        }
+    }
+
+    /// See [`Accel::resolution`].
+    pub fn resolution(&self) -> f64 {
+        (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
+    }
+
+    /// Distances between which the ray is inside the box.
+    fn interval(&self, ray: &Ray) -> Option<(f64, f64)> {
+        let margin = DVec3::splat(2.0 * self.resolution());
+        let inverse = ray.direction.recip();
+        let near = (self.bounds.min - margin - ray.origin) * inverse;
+        let far = (self.bounds.max + margin - ray.origin) * inverse;
+        // A ray parallel to a slab and on its very face gives 0·∞ = NaN, which
+        // these comparisons pass over. It is on the widened box, so it meets
+        // nothing, and kept or dropped is the same. (f64::min and max cost four
+        // times as much for what they promise about NaN.)
+        let (mut enter, mut leave) = (0.0f64, ray.t_max);
+        for axis in 0..3 {
+            let (a, b) = (near[axis], far[axis]);
+            let (first, last) = if a < b { (a, b) } else { (b, a) };
+            enter = if first > enter { first } else { enter };
+            leave = if last < leave { last } else { leave };
+        }
+        (enter <= leave).then_some((enter, leave))
+    }
+
+    /// A ray advanced in f64 to the box, so that a long standoff costs no digits.
+    pub fn inside(&self, ray: &Ray) -> Option<Inside> {
+        let (advanced, leave) = self.interval(ray)?;
+        Some(Inside {
+            origin: (ray.origin + ray.direction * advanced - self.center).as_vec3(),
+            advanced,
+            length: leave - advanced,
+        })
+    }
+}
+
+enum Tree {
+    #[cfg(feature = "embree")]
+    Embree(embree::Tree),
+    Rust(rust_bvh::Tree),
+}
+
+/// Bounding-volume hierarchy over one mesh.
+pub struct Accel<'m> {
+    mesh: &'m Mesh,
+    part: PartBox,
+    tree: Tree,
+}
+
+impl<'m> Accel<'m> {
+    /// [`Self::build_with`] the default backend: Embree if it is built in.
+    pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
+        Accel::build_with(Backend::default(), mesh, threads)
+    }
+
+    /// Builds the hierarchy; Embree with `threads` threads, Rust with those of
+    /// rayon's pool. Errors: what Embree reports, such as too little memory.
+    pub fn build_with(backend: Backend, mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
+        let part = PartBox::new(mesh);
+        #[cfg(not(feature = "embree"))]
+        let _ = threads;
+        let tree = match backend {
+            #[cfg(feature = "embree")]
+            Backend::Embree => Tree::Embree(embree::Tree::build(mesh, &part, threads)?),
+            Backend::Rust => Tree::Rust(rust_bvh::Tree::build(mesh, &part)),
+        };
+        Ok(Accel { mesh, part, tree })
+    }
+
+    pub fn mesh(&self) -> &'m Mesh {
+        self.mesh
+    }
+
+    pub fn bounds(&self) -> Aabb {
+        self.part.bounds
+    }
+
+    /// A length (mm) that f32 cannot resolve on this mesh: 2⁻²⁰ of the largest
+    /// coordinate, eight roundings of a vertex. Shadow rays start this far off
+    /// their surface.
+    pub fn resolution(&self) -> f64 {
+        self.part.resolution()
+    }
+
+    /// No hit's point is further than this from its triangle, mm. f32 may pass a
+    /// ray some 60 roundings (2⁻¹⁸ of the half size) beside a triangle, and on a
+    /// plane seen at an angle θ from edge-on that is 1/sin θ times as far: down to
+    /// 1° nothing is lost, and below only what lies beside an edge.
+    pub fn overshoot(&self) -> f64 {
+        self.resolution() * 256.0
+    }
+
+    /// Greatest difference between the distance the backend finds and the one that
+    /// is taken after refinement, mm.
+    pub fn refinement(&self) -> f64 {
+        self.part.bounds.size().length() * 1e-3
+    }
+
+    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
+    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
+    /// distance; else as if nothing were hit.
+    pub fn closest(
+        &self,
+        rays: &[Ray],
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
+        let tolerance = Tolerance {
+            along: self.refinement(),
+            beside: self.overshoot(),
+        };
+        let mut hits = [None; WIDTH];
+        let found = |i: usize, triangle: u32, t: f64| {
+            if wanted(i, t) {
+                let corners = self.mesh.triangle(triangle as usize);
+                hits[i] = refine(&rays[i], triangle, corners, t, tolerance);
+            }
+        };
+        match &self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(tree) => tree.closest(rays, &self.part, found),
+            Tree::Rust(tree) => tree.closest(rays, self.mesh, &self.part, found),
+        }
+        hits
+    }
+
+    /// Whether each of up to 16 coherent rays meets anything, as bits.
+    pub fn occluded(&self, rays: &[Ray]) -> u16 {
+        match &self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(tree) => tree.occluded(rays, &self.part),
+            Tree::Rust(tree) => tree.occluded(rays, self.mesh, &self.part),
+        }
+    }
+
+    /// The point of the mesh nearest to `p`, in f64; of several, that of the first
+    /// triangle.
+    pub fn nearest(&self, p: DVec3) -> Nearest {
+        match &self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(tree) => tree.nearest(p, self.mesh, &self.part),
+            Tree::Rust(tree) => tree.nearest(p, self.mesh, &self.part),
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "hierarchy_tests.rs"]
+pub(super) mod tests;

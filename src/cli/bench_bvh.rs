@@ -1,0 +1,65 @@
+use super::Output;
+use crate::error::Result;
+use crate::scene::Unit;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Mesh file (STL, OBJ or PLY)
+    mesh: PathBuf,
+    /// Unit of the file's coordinates
+    #[arg(long, value_enum)]
+    unit: Unit,
+    /// Rays of each kind
+    #[arg(long, value_name = "N", default_value_t = 1 << 18, value_parser = clap::value_parser!(u32).range(1..))]
+    rays: u32,
+    /// Times everything is built and timed, in turn
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
+    rounds: u16,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+#[cfg(feature = "race")]
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    use super::STOP;
+    use crate::batch::{self, Control};
+    use crate::race::{Effort, RACERS, table};
+
+    let effort = Effort {
+        rays: arguments.rays as usize,
+        rounds: arguments.rounds.into(),
+    };
+    let mesh = crate::mesh::load(&arguments.mesh, arguments.unit.mm())?;
+    let steps = effort.rounds * (RACERS + 1);
+    let bar = output.progress(steps as u64, "builds and rounds");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        stop: &STOP,
+    };
+    let bench = batch::bench_bvh(&arguments.mesh, &mesh, effort, &arguments.output, &control);
+    bar.finish_and_clear();
+    let bench = bench?;
+    let (picture, json) = (bench.picture.display(), bench.json.display());
+    let text = format!("{}\n{picture}\n{json}", table(&bench.race));
+    output.result(&bench, &text)
+}
+
+/// The rivals are not among the program's dependencies, so this one cannot race.
+#[cfg(not(feature = "race"))]
+pub fn run(arguments: Arguments, _: &Output) -> Result<()> {
+    use clap::ValueEnum;
+
+    let unit = arguments.unit.to_possible_value();
+    Err(crate::error::Error::Usage(format!(
+        "bench-bvh races against crates that lasertrace itself does without, and this \
+         program was built without them; in lasertrace's folder, run:\n\
+         cargo run --release --features race -- bench-bvh {} --unit {} --rays {} --rounds {} -o {}",
+        arguments.mesh.display(),
+        unit.expect("no unit is hidden").get_name(),
+        arguments.rays,
+        arguments.rounds,
+        arguments.output.display()
+    )))
+}

@@ -1,0 +1,66 @@
+//! The race as text.
+
+use super::{Race, Spread};
+use std::fmt::Write;
+
+/// "12.3 ±0.4": the median and half the distance between the quartiles.
+fn spread(s: &Spread) -> String {
+    format!("{:.2} ±{:.2}", s.median, (s.high - s.low) / 2.0)
+}
+
+/// A table of all that was measured, and below it what the columns mean.
+pub fn table(race: &Race) -> String {
+    let mut text = format!(
+        "{} triangles, {} rays of each kind, {} rounds\n\nMrays/s, one thread (processor time)\n",
+        race.triangles, race.effort.rays, race.effort.rounds
+    );
+    speeds(&mut text, race, |laps| laps.0);
+    let _ = write!(text, "\nMrays/s, {} threads (wall time)\n", race.threads);
+    speeds(&mut text, race, |laps| laps.1);
+    let _ = write!(
+        text,
+        "\n{:<26} {:>14} {:>10} {:>10} {:>9} {:>9} {:>9}\n",
+        "", "build, s", "B/triangle", "peak", "wrong", "edges", "vertices"
+    );
+    for racer in &race.racers {
+        let bytes = match racer.bytes_per_triangle {
+            Some([held, peak]) => format!("{held:>10.0} {peak:>10.0}"),
+            None => format!("{:>10} {:>10}", "-", "-"),
+        };
+        let wrong: usize = racer.laps.iter().map(|laps| laps.wrong).sum();
+        let build = spread(&racer.build_s);
+        let _ = writeln!(
+            text,
+            "{:<26} {build:>14} {bytes} {wrong:>9} {:>9} {:>9}",
+            racer.name, racer.missed_edges, racer.missed_vertices
+        );
+    }
+    let kinds = race.racers.first().map_or(0, |racer| racer.laps.len());
+    let _ = write!(
+        text,
+        "\n±: half the distance between the quartiles of {} rounds, racers taking turns\n\
+         wrong: of {} rays, other than brute force in f64 says\n\
+         edges, vertices: misses of {} and {} rays aimed at them\n",
+        race.effort.rounds,
+        kinds * race.checked,
+        race.aimed_at_edges,
+        race.aimed_at_vertices
+    );
+    text
+}
+
+fn speeds(text: &mut String, race: &Race, which: impl Fn((Spread, Spread)) -> Spread) {
+    let _ = write!(text, "{:<26}", "");
+    for laps in race.racers.iter().take(1).flat_map(|racer| &racer.laps) {
+        let _ = write!(text, " {:>14}", laps.kind);
+    }
+    text.push('\n');
+    for racer in &race.racers {
+        let _ = write!(text, "{:<26}", racer.name);
+        for laps in &racer.laps {
+            let rate = which((laps.one_thread, laps.all_threads));
+            let _ = write!(text, " {:>14}", spread(&rate));
+        }
+        text.push('\n');
+    }
+}
