@@ -287,9 +287,9 @@ fn random_scenes_are_the_same_to_the_bit() {
 /// from the axis; those that fold are not made.
 #[test]
 fn scenes_seen_through_a_distorting_lens_are_the_same_to_the_bit() {
-    let lookup = lookup();
+    let fields = fields();
     for (i, (name, mesh)) in parts().iter().enumerate() {
-        let part = Part::new(mesh, &lookup);
+        let part = Part::new(mesh, &fields);
         let mut lit = 0;
         for seed in 0..60 {
             let mut random = Random::new(1000 * i as u64 + seed);

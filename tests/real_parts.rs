@@ -218,13 +218,14 @@ fn read_cloud(path: &Path) -> Vec<(u32, u32, f64, bool)> {
         + 11;
     let number = |record: &[u8], at: usize| -> [u8; 4] { record[at..at + 4].try_into().unwrap() };
     bytes[header..]
-        .chunks_exact(42)
+        .chunks_exact(50)
         .map(|record| {
             (
-                u32::from_le_bytes(number(record, 32)),
-                u32::from_le_bytes(number(record, 36)),
+                u32::from_le_bytes(number(record, 40)),
+                u32::from_le_bytes(number(record, 44)),
                 f32::from_le_bytes(number(record, 24)) as f64,
-                record[40..] != [0, 0],
+                // OUTSIDE says nothing of the peak.
+                record[48] & !64 != 0,
             )
         })
         .collect()
@@ -260,6 +261,8 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
             coverage: Coverage::Footprint,
             frames: None,
             resume: false,
+            geometry_only: false,
+            also: Vec::new(),
         },
         &folder.path().join("out"),
         &control,
