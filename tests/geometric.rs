@@ -29,7 +29,7 @@ fn on_a_plane_geometry_and_the_full_chain_agree() {
     let scene = scene("scenes/plane/scene.toml");
     let simulation = Simulation::new(&scene).unwrap();
     let sheet = sheet(&scene);
-    let calibration = simulation.calibration();
+    let calibration = &simulation.calibration;
     for frame in 0..scene.scan.frames {
         let view = simulation.view(frame);
         let line = sheet.profile(&view);
