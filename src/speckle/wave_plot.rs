@@ -149,16 +149,8 @@ pub fn motion_plot(rows: &[MotionRow], textures: &[f64]) -> String {
         let axis = |k: usize| minus(&found[k].scaled(1e3), row.displacement_um[k]);
         Some([axis(0), axis(1)])
     });
-    for (x, names) in [
-        (665.0, ["waves", "scan's fields"]),
-        (1070.0, ["along x", "along y"]),
-    ] {
-        for (k, (colour, name)) in [WAVES, WAVES_OTHER].into_iter().zip(names).enumerate() {
-            let y = 70.0 + 18.0 * k as f64;
-            dot(&mut svg, [x, y - 4.0], colour);
-            text(&mut svg, [x + 10.0, y], "start", name);
-        }
-    }
+    residual_legend(&mut svg, 665.0, ["waves", "scan's fields"]);
+    residual_legend(&mut svg, 1070.0, ["along x", "along y"]);
     for (k, row) in rows.iter().enumerate() {
         let place = [
             70.0 + 550.0 * (k / half) as f64,
@@ -209,6 +201,14 @@ fn residual_panel<const N: usize>(
             let beside = 0.3 * (side as f64 - (N - 1) as f64 / 2.0);
             panel.estimate(svg, k + beside, e, [WAVES, WAVES_OTHER][side]);
         }
+    }
+}
+
+fn residual_legend(svg: &mut String, x: f64, names: [&str; 2]) {
+    for (k, (colour, name)) in [WAVES, WAVES_OTHER].into_iter().zip(names).enumerate() {
+        let y = 70.0 + 18.0 * k as f64;
+        dot(svg, [x, y - 4.0], colour);
+        text(svg, [x + 10.0, y], "start", name);
     }
 }
 
