@@ -304,3 +304,29 @@ fn the_schema_in_the_project_is_the_one_the_program_prints() {
         "the scene format has changed: run\n  cargo run -- schema > scenes/scene.schema.json"
     );
 }
+
+/// Who closes the pipe has read enough: no error, and the files are whole.
+#[test]
+fn a_closed_pipe_is_no_error() {
+    let folder = folder_with(&scene(PLANE));
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_lasertrace"))
+        .current_dir(folder.path())
+        .args(["scan", "scene.toml", "-o", "out"])
+        .stdout(writer)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(output.stderr, b"");
+    assert!(folder.path().join("out/manifest.json").exists());
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let status = std::process::Command::new(env!("CARGO_BIN_EXE_lasertrace"))
+        .args(["check", "no.toml"])
+        .stderr(writer)
+        .status();
+    assert_eq!(status.unwrap().code(), Some(74), "stderr closed");
+    let (code, ..) = run(folder.path(), &["check", "scene.toml"]);
+    assert_eq!(code, 0);
+}

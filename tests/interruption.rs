@@ -5,11 +5,14 @@
 
 mod program;
 
+use lasertrace::batch::{Control, Coverage, ScanOptions};
+use lasertrace::scene::Scene;
 use program::{PLANE, folder_with, scene};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -268,4 +271,32 @@ fn a_shorter_scan_leaves_nothing_of_a_longer_one_behind() {
         differing(&results(folder.path()), &results(fresh.path())),
         [""; 0]
     );
+}
+
+/// A stop that comes with the last frame falls into the report: it ends there, in
+/// order, and no frame is lost.
+#[test]
+fn a_stop_in_the_report_is_heard() {
+    let folder = folder_with(&many_frames(5));
+    let scene = Scene::load(&folder.path().join("scene.toml")).unwrap();
+    let out = folder.path().join("out");
+    let run = |last: u64, resume| {
+        let stop = AtomicBool::new(false);
+        let control = Control {
+            progress: &|done| stop.store(done == last, Ordering::Relaxed),
+            stop: &stop,
+        };
+        let options = ScanOptions {
+            coverage: Coverage::Footprint,
+            frames: None,
+            resume,
+        };
+        lasertrace::batch::scan(&scene, &options, &out, &control).map(|summary| summary.frames)
+    };
+    assert_eq!(run(5, false).unwrap_err().exit_code(), 75);
+    assert!(!out.join("manifest.json").exists() && !out.join("report.html").exists());
+    assert_eq!(run(u64::MAX, true).unwrap(), 5);
+    let manifest = fs::read(out.join("manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
+    assert_eq!(manifest["frames_kept"], 5);
 }
