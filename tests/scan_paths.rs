@@ -230,76 +230,81 @@ fn motion_in_the_exposure_widens_the_line_as_predicted() {
     assert!(effect(&eight).0);
 }
 
+const ROTARY: &str =
+    "rotary = { axis_point_mm = [0, 0, 0], axis_direction = [1, 0, 0], step_deg = 1 }";
+
+/// The lines of `[scan]`, and what the message then holds.
+const MISTAKES: &[(&str, &str)] = &[
+    ("", "scan.direction: found no such key"),
+    (
+        "frames = 3\ndirection = [0, 1, 0]",
+        "scan.step_mm: found no such key",
+    ),
+    (
+        "step_mm = 1\ndirection = [0, 1, 0]",
+        "scan.frames: found no such key",
+    ),
+    ("ROTARY", "scan.frames: found no such key"),
+    (
+        "frames = 3\nstep_mm = 1\nROTARY",
+        ":41: scan.step_mm: found 1, expected no such key beside",
+    ),
+    (
+        "frames = 3\ndirection = [1, 0, 0]\nROTARY",
+        ":41: scan.direction: found [1, 0, 0]",
+    ),
+    ("ROTARY\nposes = \"path.csv\"", ":39: scan: found"),
+    (
+        "poses = \"path.csv\"\nframes = 2",
+        ":41: scan.frames: found 2, expected no such key",
+    ),
+    (
+        "poses = \"no.csv\"",
+        ":40: scan.poses: found \"no.csv\", expected a CSV file",
+    ),
+    ("poses = \"/dev/null\"", ":40: scan.poses: found"),
+    (
+        "poses = \"path.csv\"",
+        "path.csv:3: y_mm: found \"two\", expected a number within",
+    ),
+    (
+        "frames = 3\nmoves = \"both\"\nROTARY",
+        ":41: scan.moves: found unknown variant",
+    ),
+    (
+        "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 0], step_deg = 1 }",
+        ":41: scan.rotary.axis_direction: found [0, 0, 0]",
+    ),
+    (
+        "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 1], step_deg = nan }",
+        ":41: scan.rotary.step_deg: found nan",
+    ),
+    (
+        "frames = 3\nrotary = { axis_point_mm = [0, 0, inf], axis_direction = [0, 0, 1], step_deg = 1 }",
+        ":41: scan.rotary.axis_point_mm: found [0, 0, inf]",
+    ),
+    (
+        "frames = 3\nframe_rate_hz = 20001\nROTARY",
+        ":41: scan.frame_rate_hz: found 20001, expected at most one",
+    ),
+    (
+        "frames = 3\nframe_rate_hz = 0\nROTARY",
+        ":41: scan.frame_rate_hz: found 0, expected a finite",
+    ),
+    (
+        "frames = 3\nexposure_poses = 2\nROTARY",
+        ":41: scan.exposure_poses: found 2, expected 1, or scan.frame_rate_hz",
+    ),
+    (
+        "frames = 3\nexposure_poses = 0\nROTARY",
+        ":41: scan.exposure_poses: found 0, expected from 1",
+    ),
+];
+
 #[test]
 fn a_wrong_path_is_refused_with_file_line_key_found_and_expected() {
-    let rotary = "rotary = { axis_point_mm = [0, 0, 0], axis_direction = [1, 0, 0], step_deg = 1 }";
-    for (scan, message) in [
-        ("", "scan.direction: found no such key"),
-        (
-            "frames = 3\ndirection = [0, 1, 0]",
-            "scan.step_mm: found no such key",
-        ),
-        (
-            "step_mm = 1\ndirection = [0, 1, 0]",
-            "scan.frames: found no such key",
-        ),
-        (rotary, "scan.frames: found no such key"),
-        (
-            "frames = 3\nstep_mm = 1\nROTARY",
-            ":41: scan.step_mm: found 1, expected no such key beside",
-        ),
-        (
-            "frames = 3\ndirection = [1, 0, 0]\nROTARY",
-            ":41: scan.direction: found [1, 0, 0]",
-        ),
-        ("ROTARY\nposes = \"path.csv\"", ":39: scan: found"),
-        (
-            "poses = \"path.csv\"\nframes = 2",
-            ":41: scan.frames: found 2, expected no such key",
-        ),
-        (
-            "poses = \"no.csv\"",
-            ":40: scan.poses: found \"no.csv\", expected a CSV file",
-        ),
-        ("poses = \"/dev/null\"", ":40: scan.poses: found"),
-        (
-            "poses = \"path.csv\"",
-            "path.csv:3: y_mm: found \"two\", expected a number within",
-        ),
-        (
-            "frames = 3\nmoves = \"both\"\nROTARY",
-            ":41: scan.moves: found unknown variant",
-        ),
-        (
-            "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 0], step_deg = 1 }",
-            ":41: scan.rotary.axis_direction: found [0, 0, 0]",
-        ),
-        (
-            "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 1], step_deg = nan }",
-            ":41: scan.rotary.step_deg: found nan",
-        ),
-        (
-            "frames = 3\nrotary = { axis_point_mm = [0, 0, inf], axis_direction = [0, 0, 1], step_deg = 1 }",
-            ":41: scan.rotary.axis_point_mm: found [0, 0, inf]",
-        ),
-        (
-            "frames = 3\nframe_rate_hz = 20001\nROTARY",
-            ":41: scan.frame_rate_hz: found 20001, expected at most one",
-        ),
-        (
-            "frames = 3\nframe_rate_hz = 0\nROTARY",
-            ":41: scan.frame_rate_hz: found 0, expected a finite",
-        ),
-        (
-            "frames = 3\nexposure_poses = 2\nROTARY",
-            ":41: scan.exposure_poses: found 2, expected 1, or scan.frame_rate_hz",
-        ),
-        (
-            "frames = 3\nexposure_poses = 0\nROTARY",
-            ":41: scan.exposure_poses: found 0, expected from 1",
-        ),
-    ] {
-        let folder = folder_with(&with_scan(&scan.replace("ROTARY", rotary)));
+    for (scan, message) in MISTAKES {
+        let folder = folder_with(&with_scan(&scan.replace("ROTARY", ROTARY)));
         let csv = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1,2,3,0,0,0\n1,two,3,0,0,0\n";
         fs::write(folder.path().join("path.csv"), csv).unwrap();
         assert_error(

@@ -182,6 +182,9 @@ impl Shown<'_> {
             - 2.0 * part_from_laser.rotation.y_axis * camera.dot(part_from_laser.rotation.y_axis);
         let looking = |into: DVec3, hint: DVec3| {
             let right = (hint - into * hint.dot(into)).normalize();
+            // The laser is above.
+            let upside_down = into.cross(right).dot(beam) < -1e-9;
+            let right = if upside_down { -right } else { right };
             ParallelView {
                 right,
                 down: into.cross(right),

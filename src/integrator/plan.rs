@@ -171,7 +171,6 @@ impl Plan {
             method,
             why,
         };
-        let micrometres = |px: f64| px / self.px_per_mm * 1e3;
         vec![
             effect(
                 "pixel integration",
@@ -224,32 +223,31 @@ impl Plan {
                 "direct light only".into(),
                 "the surface is diffuse: interreflections are faint and wide".into(),
             ),
-            match exposure {
-                None => effect(
-                    "motion during the exposure",
-                    false,
-                    "head at rest".into(),
-                    format!(
-                        "no scan.frame_rate_hz is given; 1 px is {:.1} µm along the beam",
-                        micrometres(1.0)
-                    ),
-                ),
-                Some(ExposureMotion { way, poses }) => effect(
-                    "motion during the exposure",
-                    poses > 1,
-                    match poses {
-                        1 => "head at rest".into(),
-                        _ => format!("mean of {poses} poses"),
-                    },
-                    format!(
-                        "the head goes {:.2} µm over the part in one exposure; 1 px is {:.1} µm \
-                         along the beam",
-                        way * 1e3,
-                        micrometres(1.0)
-                    ),
-                ),
-            },
+            self.exposure_effect(exposure),
         ]
+    }
+
+    fn exposure_effect(&self, exposure: Option<ExposureMotion>) -> Effect {
+        let poses = exposure.map_or(1, |exposure| exposure.poses);
+        let speed = match exposure {
+            Some(exposure) => format!(
+                "the head goes {:.2} µm over the part in one exposure",
+                exposure.way * 1e3
+            ),
+            None => "no scan.frame_rate_hz is given".into(),
+        };
+        Effect {
+            effect: "motion during the exposure",
+            modelled: poses > 1,
+            method: match poses {
+                1 => "head at rest".into(),
+                _ => format!("mean of {poses} poses"),
+            },
+            why: format!(
+                "{speed}; 1 px is {:.1} µm along the beam",
+                1e3 / self.px_per_mm
+            ),
+        }
     }
 }
 
