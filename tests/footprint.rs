@@ -141,15 +141,11 @@ impl Setup {
             0 => DVec2::ZERO,
             _ => DVec2::new(random.between(-most, most), random.between(-most, most)) * 0.5,
         };
+        let pitch = width / resolution.max_element() as f64;
         Setup {
             laser: Laser { beam, fan },
             part_from_laser,
-            camera: camera(
-                resolution,
-                width / resolution.max_element() as f64,
-                focus_distance,
-                tilt,
-            ),
+            camera: camera(resolution, pitch, focus_distance, tilt),
             part_from_camera,
             samples_per_side: 1 + random.choice(4) as u32,
             speckle: random.choice(2) == 0,
@@ -379,7 +375,7 @@ fn frames_of_the_bracket_scene_are_the_same_to_the_bit() {
 #[test]
 fn random_scenes_of_real_parts_are_the_same_to_the_bit() {
     let folder = root("../shared/data/meshes");
-    let Ok(entries) = std::fs::read_dir(&folder) else {
+    let Ok(entries) = folder.read_dir() else {
         eprintln!("NOT TESTED: no real parts at {}", folder.display());
         return;
     };

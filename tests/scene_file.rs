@@ -103,7 +103,7 @@ const MISTAKES: &[(&str, &str, &str)] = &[
         ":19: laser.line.profile: found unknown variant `flat`, expected `uniform` or",
     ),
     (
-        "exposure_ms = 0.05\n",
+        "exposure_ms = 0.01\n",
         "",
         ":21: camera.exposure_ms: found no such key, expected it to be given",
     ),

@@ -234,9 +234,9 @@ impl Tree {
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
         unsafe { ffi::lt_intersect16(self.scene, true, valid.0.as_ptr(), &mut packet) };
-        for i in 0..rays.len() {
+        for (i, advanced) in advanced.iter().enumerate().take(rays.len()) {
             if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY {
-                let t = advanced[i] + packet.ray.tfar[i] as f64;
+                let t = advanced + packet.ray.tfar[i] as f64;
                 found(i, packet.hit.primID[i], t);
             }
         }

@@ -213,6 +213,25 @@ fn meshes_of_strange_shapes_are_no_trouble() {
     }
 }
 
+/// A file that holds one triangle over and over neither hangs nor overflows the
+/// stack.
+#[test]
+fn a_hundred_thousand_equal_triangles_are_one() {
+    let mesh = Mesh {
+        positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+        triangles: vec![[0, 1, 2]; 100_000],
+    };
+    for accel in accels(&mesh) {
+        let ray = Ray {
+            origin: DVec3::new(0.2, 0.2, 5.0),
+            direction: -DVec3::Z,
+            t_max: 10.0,
+        };
+        assert_eq!(accel.closest(&[ray], |_, _| true)[0].unwrap().t, 5.0);
+        assert_eq!(accel.nearest(DVec3::Z).triangle, 0);
+    }
+}
+
 #[test]
 fn the_version_that_is_written_down_is_that_of_the_crate() {
     let lock = include_str!("../../Cargo.lock");

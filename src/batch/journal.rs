@@ -365,7 +365,7 @@ mod tests {
             ),
             (
                 other(|k| k.accel = "3".into()),
-                "Embree's version was \"4\"",
+                "the intersection library was \"4\" and is \"3\"",
             ),
             (
                 other(|k| k.scene_sha256 = "cd".into()),

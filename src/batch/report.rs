@@ -1,14 +1,18 @@
 //! What a scan's report shows.
 
+mod frames;
+mod histograms;
+
 use super::scan::ScanSummary;
 use super::{Control, Simulation};
 use crate::error::Result;
-use crate::inspect::chart::{Histogram, color_bar, short};
+use crate::inspect::chart::{color_bar, short};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::color::{Rgb, diverging, of_fate, sequential};
 use crate::inspect::coverage::HeadPose;
-use crate::inspect::picture::{ParallelView, encode_for_eyes, part_picture};
-use crate::inspect::report::{ColorMap, Report, SampleFrame, count_flags};
+use crate::inspect::flags::count_flags;
+use crate::inspect::picture::{ParallelView, part_picture};
+use crate::inspect::report::{ColorMap, Report};
 use crate::inspect::setup::Setup;
 use crate::inspect::viewer::{Layer, Mode, Viewer};
 use crate::math::DVec3;
@@ -36,63 +40,13 @@ pub struct Shown<'a> {
 
 impl Shown<'_> {
     pub fn report(self, control: &Control) -> Result<Report> {
-        let scene = self.simulation.scene;
         let plan = &self.simulation.plan;
         let limits = Limits::of(self.points);
-        let views = self.views();
-        control.check()?;
-        let mut maps = vec![self.map(
-            "Deviation from the CAD surface",
-            color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
-                diverging(d, limits.deviation_um)
-            }),
-            "Red: outside the material. Blue: inside. Sound points.",
-            &views,
-            &|p| diverging(p.deviation * 1e3, limits.deviation_um),
-            &|p| p.is_sound(),
-        )];
-        control.check()?;
-        maps.push(self.map(
-            "Standard uncertainty of the deviation",
-            color_bar(0.0, limits.sigma_um, "µm", &|s| {
-                sequential(s, limits.sigma_um)
-            }),
-            "Predicted for each point from speckle, noise and calibration; not stated for \
-             those flagged outside. Sound points.",
-            &views[..2],
-            &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
-            &|p| p.is_sound(),
-        ));
-        control.check()?;
-        let [across, along] = [self.poses.first(), self.poses.last()]
-            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
+        let maps = self.maps(&limits, control)?;
         Ok(Report {
             title: "Laser-triangulation scan".into(),
             lead: self.lead(),
-            facts: vec![
-                ("scene", scene.path.display().to_string()),
-                ("part", format!("{} triangles", scene.mesh.triangles.len())),
-                (
-                    "frames",
-                    format!(
-                        "{}, over {} mm",
-                        self.frames.len(),
-                        short((along - across).length())
-                    ),
-                ),
-                (
-                    "columns with a point",
-                    format!("{} of 100", short(self.summary.measured_share * 100.0)),
-                ),
-                (
-                    "1 px along the beam",
-                    format!("{} µm", short(1e3 / plan.px_per_mm)),
-                ),
-                (
-                    "speckle size",
-                    format!("{} px", short(plan.speckle_size_px)),
-                ),
-            ],
+            facts: self.facts(),
             viewer: Some(self.viewer(&limits)),
             maps,
             statistics: self.summary.deviation.clone(),
@@ -119,6 +73,66 @@ impl Shown<'_> {
             coverage: self.summary.coverage.clone(),
             run: self.run,
         })
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        let scene = self.simulation.scene;
+        let plan = &self.simulation.plan;
+        let [across, along] = [self.poses.first(), self.poses.last()]
+            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
+        vec![
+            ("scene", scene.path.display().to_string()),
+            ("part", format!("{} triangles", scene.mesh.triangles.len())),
+            (
+                "frames",
+                format!(
+                    "{}, over {} mm",
+                    self.frames.len(),
+                    short((along - across).length())
+                ),
+            ),
+            (
+                "columns with a point",
+                format!("{} of 100", short(self.summary.measured_share * 100.0)),
+            ),
+            (
+                "1 px along the beam",
+                format!("{} µm", short(1e3 / plan.px_per_mm)),
+            ),
+            (
+                "speckle size",
+                format!("{} px", short(plan.speckle_size_px)),
+            ),
+        ]
+    }
+
+    fn maps(&self, limits: &Limits, control: &Control) -> Result<Vec<ColorMap>> {
+        let views = self.views();
+        control.check()?;
+        let mut maps = vec![self.map(
+            "Deviation from the CAD surface",
+            color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
+                diverging(d, limits.deviation_um)
+            }),
+            "Red: outside the material. Blue: inside. Sound points.",
+            &views,
+            &|p| diverging(p.deviation * 1e3, limits.deviation_um),
+            &|p| p.is_sound(),
+        )];
+        control.check()?;
+        maps.push(self.map(
+            "Standard uncertainty of the deviation",
+            color_bar(0.0, limits.sigma_um, "µm", &|s| {
+                sequential(s, limits.sigma_um)
+            }),
+            "Predicted for each point from speckle, noise and calibration; not stated for \
+             those flagged outside. Sound points.",
+            &views[..2],
+            &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
+            &|p| p.is_sound(),
+        ));
+        control.check()?;
+        Ok(maps)
     }
 
     fn sound(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
@@ -209,72 +223,6 @@ impl Shown<'_> {
         ]
     }
 
-    fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
-        let deviations: Vec<f64> = self.sound().map(|p| p.deviation * 1e3).collect();
-        let sigmas: Vec<f64> = self.sound().map(|p| p.deviation_sigma * 1e3).collect();
-        let ratios: Vec<f64> = self
-            .sound()
-            .filter(|p| p.deviation_sigma > 0.0)
-            .map(|p| p.deviation / p.deviation_sigma)
-            .collect();
-        let n = ratios.len() as f64;
-        let normal = |low: f64, high: f64| {
-            let cdf = |x: f64| 0.5 * (1.0 + libm::erf(x / std::f64::consts::SQRT_2));
-            n * (cdf(high) - cdf(low))
-        };
-        let deviation_color = |d: f64| diverging(d, limits.deviation_um);
-        let sigma_color = |s: f64| sequential(s, limits.sigma_um);
-        let histogram = |title, values, low, high, color, expected| Histogram {
-            title,
-            values,
-            low,
-            high,
-            color,
-            expected,
-        };
-        let (d, s) = (limits.deviation_um, limits.sigma_um);
-        vec![
-            (
-                "Signed distance to the CAD.".into(),
-                histogram(
-                    "deviation from CAD, µm",
-                    &deviations,
-                    -d,
-                    d,
-                    &deviation_color,
-                    None,
-                )
-                .svg(),
-            ),
-            (
-                "Predicted standard uncertainty.".into(),
-                histogram(
-                    "standard uncertainty, µm",
-                    &sigmas,
-                    0.0,
-                    s,
-                    &sigma_color,
-                    None,
-                )
-                .svg(),
-            ),
-            (
-                "If the uncertainty is right and nothing else is off, this is the normal \
-                 distribution (line)."
-                    .into(),
-                histogram(
-                    "deviation / its standard uncertainty",
-                    &ratios,
-                    -4.0,
-                    4.0,
-                    &|_| [170, 190, 210],
-                    Some(&normal),
-                )
-                .svg(),
-            ),
-        ]
-    }
-
     fn viewer(&self, limits: &Limits) -> Viewer {
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
         let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
@@ -343,70 +291,6 @@ impl Shown<'_> {
             path: &path,
         };
         setup.drawings().into()
-    }
-
-    /// The frame with most to see, that with most doubtful points, and the middle.
-    fn sample_frames(&self) -> Vec<SampleFrame> {
-        let by_frame = |frame: u32| {
-            let start = self.points.partition_point(|p| p.frame < frame);
-            let end = self.points.partition_point(|p| p.frame <= frame);
-            &self.points[start..end]
-        };
-        let spread = |frame: u32| {
-            let pose = &self.poses[(frame - self.frames.start) as usize];
-            let beam = pose.part_from_laser.rotation.z_axis;
-            let depths: Vec<f64> = by_frame(frame)
-                .iter()
-                .map(|p| p.position.dot(beam))
-                .collect();
-            let mean = depths.iter().sum::<f64>() / depths.len().max(1) as f64;
-            depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
-        };
-        let doubts = |frame: u32| {
-            let flagged = by_frame(frame).iter().filter(|p| !p.is_sound());
-            flagged.count() as f64
-        };
-        let most = |of: &dyn Fn(u32) -> f64| {
-            let scored = self.frames.clone().map(|frame| (frame, of(frame)));
-            let best = scored.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
-            best.map_or(self.frames.start, |(frame, _)| frame)
-        };
-        let mut chosen = vec![
-            (most(&spread), "the one with the greatest spread of depth"),
-            (most(&doubts), "the one with the most flags"),
-            (
-                self.frames.start + self.frames.len() as u32 / 2,
-                "the middle one",
-            ),
-        ];
-        let mut seen = Vec::new();
-        chosen.retain(|(frame, _)| {
-            let new = !seen.contains(frame);
-            seen.push(*frame);
-            new
-        });
-        chosen
-            .into_iter()
-            .map(|(frame, why)| self.sample_frame(frame, why))
-            .collect()
-    }
-
-    fn sample_frame(&self, frame: u32, why: &'static str) -> SampleFrame {
-        let simulation = self.simulation;
-        let sensor = &simulation.scene.camera.sensor;
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
-        let (peaks, _) = simulation.measure(frame, &counts);
-        SampleFrame {
-            number: frame,
-            why,
-            png: encode_for_eyes(&counts, sensor.resolution.x as usize, sensor.max_count()),
-            width: sensor.resolution.x,
-            height: sensor.resolution.y,
-            line: peaks
-                .iter()
-                .map(|p| (p.column as f64 + 0.5, p.row))
-                .collect(),
-        }
     }
 }
 

@@ -11,8 +11,8 @@ use crate::inspect::chart::short;
 use crate::inspect::cloud::{self, CloudPoint};
 use crate::inspect::coverage::{HeadPose, Scanned, SurfaceCoverage, coverage};
 use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::flags::count_flags;
 use crate::inspect::formats::Format;
-use crate::inspect::report::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
 use crate::scene::Scene;
@@ -125,29 +125,13 @@ pub fn scan(
     run.frames(frames.start + kept.len() as u32..frames.end, &mut journal)?;
     let measured = Instant::now();
 
-    let run_table = vec![
-        ("lasertrace", key.version.clone()),
-        ("intersection", key.accel.clone()),
-        ("scene", format!("SHA-256 {}", key.scene_sha256)),
-        ("seed", key.seed.to_string()),
-        ("threads", rayon::current_num_threads().to_string()),
-        ("preparing", seconds(prepared - start)),
-        (
-            "frames",
-            format!(
-                "{}, {} frames a second",
-                seconds(measured - prepared),
-                short((frames.len() - kept.len()) as f64 / (measured - prepared).as_secs_f64())
-            ),
-        ),
-    ];
     let summary = finish(
         &simulation,
         options,
         &frames,
         &journal,
         (out, control),
-        run_table,
+        run_table(&key, prepared - start, measured - prepared, kept.len()),
     )?;
     journal.sync()?;
     control.check()?;
@@ -311,6 +295,25 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     )))
 }
 
-fn seconds(duration: Duration) -> String {
-    format!("{} s", short(duration.as_secs_f64()))
+/// What the report says of the run.
+fn run_table(
+    key: &RunKey,
+    preparing: Duration,
+    taking: Duration,
+    kept: usize,
+) -> Vec<(&'static str, String)> {
+    let rate = (key.frames.len() - kept) as f64 / taking.as_secs_f64();
+    let seconds = |duration: Duration| format!("{} s", short(duration.as_secs_f64()));
+    vec![
+        ("lasertrace", key.version.clone()),
+        ("intersection", key.accel.clone()),
+        ("scene", format!("SHA-256 {}", key.scene_sha256)),
+        ("seed", key.seed.to_string()),
+        ("threads", rayon::current_num_threads().to_string()),
+        ("preparing", seconds(preparing)),
+        (
+            "frames",
+            format!("{}, {} frames a second", seconds(taking), short(rate)),
+        ),
+    ]
 }

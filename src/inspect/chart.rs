@@ -14,12 +14,13 @@ pub struct Histogram<'a> {
     pub expected: Option<&'a dyn Fn(f64, f64) -> f64>,
 }
 
+const WIDTH: f64 = 720.0;
+const HEIGHT: f64 = 220.0;
+
 impl Histogram<'_> {
     /// What lies beyond the axis is counted in the title.
     pub fn svg(&self) -> String {
         const BINS: usize = 81;
-        const WIDTH: f64 = 720.0;
-        const HEIGHT: f64 = 220.0;
         let mut bins = [0usize; BINS];
         let mut beyond = 0;
         for &value in self.values {
@@ -61,6 +62,11 @@ impl Histogram<'_> {
             }
             svg.push_str("\"/>");
         }
+        self.axis(&mut svg, highest, beyond);
+        svg
+    }
+
+    fn axis(&self, svg: &mut String, highest: f64, beyond: usize) {
         let _ = write!(
             svg,
             "<line x1=\"0\" y1=\"{HEIGHT}\" x2=\"{WIDTH}\" y2=\"{HEIGHT}\" stroke=\"#333\"/>"
@@ -86,7 +92,6 @@ impl Histogram<'_> {
             self.title,
             self.values.len()
         );
-        svg
     }
 }
 

@@ -7,6 +7,7 @@ pub mod cloud;
 pub mod color;
 pub mod coverage;
 pub mod deviation;
+pub mod flags;
 pub mod formats;
 pub mod picture;
 pub mod plot;

@@ -2,12 +2,11 @@
 //! than read.
 
 use super::chart::{share_bar, short};
-use super::cloud::CloudPoint;
 use super::color::{Rgb, css, of_fate};
 use super::coverage::{Fate, SurfaceCoverage};
 use super::deviation::DeviationStatistics;
+use super::flags::FlagCount;
 use super::viewer::Viewer;
-use crate::profile::Flags;
 use base64::Engine;
 use std::fmt::Write;
 
@@ -41,60 +40,6 @@ pub struct ColorMap {
     /// Caption and PNG.
     pub views: Vec<(&'static str, Vec<u8>)>,
 }
-
-/// Points that carry a flag.
-pub struct FlagCount {
-    pub name: &'static str,
-    pub meaning: &'static str,
-    pub points: usize,
-}
-
-/// How many points carry each flag.
-pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
-    let count = |flag| points.iter().filter(|p| p.flags.contains(flag)).count();
-    FLAGS
-        .iter()
-        .map(|&(flag, name, meaning)| FlagCount {
-            name,
-            meaning,
-            points: count(flag),
-        })
-        .collect()
-}
-
-const FLAGS: [(Flags, &str, &str); 7] = [
-    (
-        Flags::SATURATED,
-        "saturated",
-        "a pixel of the line has the highest count the sensor gives",
-    ),
-    (
-        Flags::DOUBLE,
-        "double",
-        "the column holds another line: a second surface, or a ghost",
-    ),
-    (
-        Flags::WIDE,
-        "wide",
-        "more than twice as wide as the frame's lines",
-    ),
-    (
-        Flags::WEAK,
-        "weak",
-        "much fainter than the frame's lines, or near the noise",
-    ),
-    (Flags::BORDER, "border", "cut off by the sensor's edge"),
-    (
-        Flags::EDGE,
-        "edge",
-        "next to an occlusion or a jump, or cut off along it",
-    ),
-    (
-        Flags::OUTSIDE,
-        "outside",
-        "outside the domain of the stated uncertainty",
-    ),
-];
 
 /// A frame of the scan with the line that was extracted from it.
 pub struct SampleFrame {

@@ -13,6 +13,7 @@ pub enum Purpose {
     Bootstrap = 4,
     Calibration = 7,
     RaceRays = 16,
+    BoxPadding = 17,
 }
 
 /// Stafford's mix 13 of the 64-bit finaliser (the output function of

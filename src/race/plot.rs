@@ -139,64 +139,54 @@ fn draw(svg: &mut String, cell: &Cell, [x, y]: [f64; 2], scale: f64) {
     let (upper, lower) = (y + 4.0, y + ROW / 2.0 + 1.0);
     match cell {
         Cell::Speeds(one, all) => {
-            bar(
-                svg,
-                [x, upper, thick],
-                one.median * scale,
-                ONE,
-                &short(one.median),
-            );
-            whisker(svg, [x, upper + thick / 2.0], one, scale);
-            bar(
-                svg,
-                [x, lower, thick],
-                all.median * scale,
-                ALL,
-                &short(all.median),
-            );
-            whisker(svg, [x, lower + thick / 2.0], all, scale);
+            spread_bar(svg, [x, upper, thick], one, scale, ONE);
+            spread_bar(svg, [x, lower, thick], all, scale, ALL);
         }
-        Cell::Seconds(s) => {
+        Cell::Seconds(s) => spread_bar(svg, [x, upper + 6.0, thick], s, scale, ALL),
+        Cell::Number(n) => {
             bar(
                 svg,
                 [x, upper + 6.0, thick],
-                s.median * scale,
+                [n * scale, 0.0],
                 ALL,
-                &short(s.median),
+                &short(*n),
             );
-            whisker(svg, [x, upper + 6.0 + thick / 2.0], s, scale);
         }
-        Cell::Number(n) => bar(svg, [x, upper + 6.0, thick], n * scale, ALL, &short(*n)),
         Cell::Misses(edges, vertices) => {
-            bar(svg, [x, upper, thick], edges * scale, BAD, &short(*edges));
-            bar(
-                svg,
-                [x, lower, thick],
-                vertices * scale,
-                BAD,
-                &short(*vertices),
-            );
+            for (y, n) in [(upper, edges), (lower, vertices)] {
+                bar(svg, [x, y, thick], [n * scale, 0.0], BAD, &short(*n));
+            }
         }
-        Cell::Unknown => bar(svg, [x, upper + 6.0, thick], 0.0, ALL, "as Embree's"),
+        Cell::Unknown => bar(svg, [x, upper + 6.0, thick], [0.0; 2], ALL, "as Embree's"),
     }
 }
 
-fn bar(svg: &mut String, [x, y, thick]: [f64; 3], length: f64, color: &str, label: &str) {
+/// A bar to the median, with a line from quartile to quartile.
+fn spread_bar(svg: &mut String, at: [f64; 3], s: &Spread, scale: f64, color: &str) {
+    let [x, y, thick] = at;
+    let lengths = [s.median * scale, s.high * scale];
+    bar(svg, at, lengths, color, &short(s.median));
+    let (low, high, y) = (x + s.low * scale, x + lengths[1], y + thick / 2.0);
+    let _ = write!(
+        svg,
+        "<line x1=\"{low:.1}\" x2=\"{high:.1}\" y1=\"{y}\" y2=\"{y}\" stroke=\"#222\" stroke-width=\"2\"/>"
+    );
+}
+
+/// A bar; its label stands behind `clear`, to where a whisker may reach.
+fn bar(
+    svg: &mut String,
+    [x, y, thick]: [f64; 3],
+    [length, clear]: [f64; 2],
+    color: &str,
+    label: &str,
+) {
     let _ = write!(
         svg,
         "<rect x=\"{x}\" y=\"{y:.1}\" width=\"{length:.1}\" height=\"{thick}\" fill=\"{color}\"/>\
          <text x=\"{:.1}\" y=\"{:.1}\" font-size=\"11\">{label}</text>",
-        x + length + 8.0,
+        x + length.max(clear) + 6.0,
         y + thick - 2.0
-    );
-}
-
-/// From quartile to quartile.
-fn whisker(svg: &mut String, [x, y]: [f64; 2], s: &Spread, scale: f64) {
-    let (low, high) = (x + s.low * scale, x + s.high * scale);
-    let _ = write!(
-        svg,
-        "<line x1=\"{low:.1}\" x2=\"{high:.1}\" y1=\"{y}\" y2=\"{y}\" stroke=\"#222\" stroke-width=\"2\"/>"
     );
 }
 

@@ -1,0 +1,58 @@
+//! How many points carry each flag.
+
+use super::cloud::CloudPoint;
+use crate::profile::Flags;
+
+/// Points that carry a flag.
+pub struct FlagCount {
+    pub name: &'static str,
+    pub meaning: &'static str,
+    pub points: usize,
+}
+
+/// How many points carry each flag.
+pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
+    let count = |flag| points.iter().filter(|p| p.flags.contains(flag)).count();
+    FLAGS
+        .iter()
+        .map(|&(flag, name, meaning)| FlagCount {
+            name,
+            meaning,
+            points: count(flag),
+        })
+        .collect()
+}
+
+const FLAGS: [(Flags, &str, &str); 7] = [
+    (
+        Flags::SATURATED,
+        "saturated",
+        "a pixel of the line has the highest count the sensor gives",
+    ),
+    (
+        Flags::DOUBLE,
+        "double",
+        "the column holds another line: a second surface, or a ghost",
+    ),
+    (
+        Flags::WIDE,
+        "wide",
+        "more than twice as wide as the frame's lines",
+    ),
+    (
+        Flags::WEAK,
+        "weak",
+        "much fainter than the frame's lines, or near the noise",
+    ),
+    (Flags::BORDER, "border", "cut off by the sensor's edge"),
+    (
+        Flags::EDGE,
+        "edge",
+        "next to an occlusion or a jump, or cut off along it",
+    ),
+    (
+        Flags::OUTSIDE,
+        "outside",
+        "outside the domain of the stated uncertainty",
+    ),
+];
