@@ -11,6 +11,11 @@ use crate::profile::{
 };
 use crate::scene::Scene;
 
+/// Least share of a point's uncertainty that is across the surface, for that share to
+/// be all that moves the point off it: on a wall along which its errors run, how
+/// wide the line is decides as much as where.
+const LEAST_SHARE: f64 = 0.15;
+
 impl Simulation<'_> {
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
@@ -91,15 +96,22 @@ impl Simulation<'_> {
             let position = part_from_head.point(in_head);
             let (deviation, normal) = signed_distance(&self.accel, position, eye);
             let normal = part_from_head.inverse().vector(normal);
+            let sigma = trace(&covariance).max(0.0).sqrt();
+            let deviation_sigma = normal.dot(covariance * normal).max(0.0).sqrt();
+            let mut flags = peak.flags;
+            flags.set(
+                Flags::OUTSIDE,
+                flags.contains(Flags::OUTSIDE) || deviation_sigma < LEAST_SHARE * sigma,
+            );
             Some(CloudPoint {
                 position,
                 deviation,
-                sigma: trace(&covariance).max(0.0).sqrt(),
-                deviation_sigma: normal.dot(covariance * normal).max(0.0).sqrt(),
+                sigma,
+                deviation_sigma,
                 intensity: peak.intensity,
                 frame,
                 column: peak.column,
-                flags: peak.flags,
+                flags,
             })
         });
         points.collect()

@@ -14,8 +14,8 @@ pub struct Histogram<'a> {
     pub expected: Option<&'a dyn Fn(f64, f64) -> f64>,
 }
 
-const WIDTH: f64 = 720.0;
-const HEIGHT: f64 = 220.0;
+const WIDTH: f64 = 400.0;
+const HEIGHT: f64 = 170.0;
 
 impl Histogram<'_> {
     /// What lies beyond the axis is counted in the title.
@@ -38,8 +38,8 @@ impl Histogram<'_> {
         let highest = expected.iter().copied().fold(most, f64::max);
         let bar = WIDTH / BINS as f64;
         let mut svg = format!(
-            "<svg viewBox=\"-70 -10 {} {}\" role=\"img\" aria-label=\"{}\">",
-            WIDTH + 90.0,
+            "<svg viewBox=\"-50 -10 {} {}\" role=\"img\" aria-label=\"{}\">",
+            WIDTH + 70.0,
             HEIGHT + 60.0,
             self.title
         );

@@ -58,7 +58,8 @@ impl Setup<'_> {
         }
         let unit = (high - low).max_element() / 60.0;
         low -= 6.0 * unit;
-        high += 6.0 * unit;
+        // Room for names to the right of what they name.
+        high += DVec2::new(10.0, 6.0) * unit;
         let size = high - low;
         let mut svg = format!(
             "<svg class=\"setup\" viewBox=\"{:.3} {:.3} {:.3} {:.3}\" role=\"img\" \

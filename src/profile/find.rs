@@ -1,7 +1,8 @@
 //! The lines of a frame, column by column, and what is doubtful about them.
 
 use super::background::{Background, background, detection_sigmas};
-use super::locate::{Line, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
+use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
+use super::neighbourhood::Neighbourhood;
 use super::{Choice, Flags, Peak, PeakSettings};
 
 /// Share of the height of the column's highest line that another has at least.
@@ -19,6 +20,9 @@ pub const JUMP_SIGMAS: f64 = 3.0;
 /// A line narrower than this share of their width is the tail that an edge
 /// along it leaves: of a Gaussian cut beyond 1.5 σ.
 pub const NARROW_RATIO: f64 = 0.4;
+
+/// Share by which a line's width may differ from that of its window.
+const WIDTH_TOLERANCE: f64 = 0.1;
 
 /// Columns that are gathered at once: a cache line of a row.
 const STRIP: usize = 32;
@@ -47,31 +51,66 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
-    let mut peaks = Vec::with_capacity(columns);
+    let mut lines = Vec::with_capacity(columns);
     for (number, (column, found)) in by_column.chunks_exact(rows).zip(&found).enumerate() {
         let Some(found) = found else { continue };
         let (line, double) = chosen(column, found, width, settings);
-        let Some((located, intensity)) = locate(&line, settings.finder) else {
-            continue;
-        };
+        if let Some(located) = locate(&line, settings.finder) {
+            lines.push((number as u32, line, double, located));
+        }
+    }
+    fit_windows(&mut lines, columns, settings);
+    let peak = |(column, line, double, (located, intensity)): (u32, Line, bool, (Located, f64))| {
         let mut flags = Flags::empty();
         flags.set(Flags::DOUBLE, double);
         flags.set(Flags::SATURATED, is_saturated(&line));
         let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
         let inside = located.row >= window && located.row + window <= rows as f64;
         flags.set(Flags::BORDER, !inside);
-        peaks.push(Peak {
-            column: number as u32,
+        Peak {
+            column,
             row: located.row,
             intensity,
             height: line.height,
             sigma: located.sigma,
             noise: line.background.noise,
             flags,
-        });
-    }
+        }
+    };
+    let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
     compare_neighbours(&mut peaks, columns, settings.expected_sigma);
     peaks
+}
+
+/// Locates again, in windows of its own width, each line that is wider or narrower
+/// than was taken: on a slope towards the camera it is wider, and cut off by its window
+/// it would stray more than a whole one; on one away from it, it is narrower, and noise
+/// beside it would move it.
+fn fit_windows(
+    lines: &mut [(u32, Line, bool, (Located, f64))],
+    columns: usize,
+    settings: &PeakSettings,
+) {
+    let single = lines.iter().filter(|(_, _, double, _)| !double);
+    let widths = single.map(|&(column, _, _, (located, _))| (column, located.sigma));
+    let around = Neighbourhood::new(columns, widths);
+    for (column, line, _, located) in lines {
+        let (_, Some(width)) = around.around(*column) else {
+            continue;
+        };
+        // One that is much wider than its neighbours is another line, not their speckle.
+        let alike = located.0.sigma <= WIDE_RATIO * width;
+        if !alike || (width / line.sigma - 1.0).abs() <= WIDTH_TOLERANCE {
+            continue;
+        }
+        let other = Line {
+            sigma: width,
+            ..*line
+        };
+        if let Some(again) = locate(&other, settings.finder) {
+            (*line, *located) = (other, again);
+        }
+    }
 }
 
 /// The image column by column.

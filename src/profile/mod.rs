@@ -12,6 +12,7 @@ mod calibration_file;
 mod find;
 mod fit;
 mod locate;
+mod neighbourhood;
 mod normal;
 mod peak;
 mod residual_picture;

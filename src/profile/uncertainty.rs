@@ -1,6 +1,7 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
+use super::neighbourhood::Neighbourhood;
 use super::{Flags, Peak, PeakFinder};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::pixel_covariance;
@@ -18,16 +19,19 @@ pub struct SpeckleGrain {
 }
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
-/// across the line, at which an error is taken as normal and of first order.
-pub const LARGEST_LIGHT_VARIANCE: f64 = 0.2;
+/// across the line, up to which errors were found normal and of first order
+/// (`tests/uncertainty.rs`).
+pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
 /// The same of a pixel's light for finders that take its shape as a Gaussian's, not
 /// its centre of gravity.
 pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 /// Narrowest and widest line, px: below, the finders' bias is not known to be small.
 pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
+/// Grains smaller than the first, px, on a line narrower than the second: the line
+/// does not light its outer pixels evenly and averages fewer grains there than the
+/// prediction takes them to, by up to 15 % of the variance.
+pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
 
-/// Columns to either side whose lines tell how wide a line is.
-const NEIGHBOURS: usize = 32;
 const NODES: usize = 96;
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -46,14 +50,17 @@ const NODES: usize = 96;
 /// ratio a centroid is brings its own second-order terms; they add up to
 /// −0.02·h/σ of the variance.
 ///
-/// Valid for a Gaussian line of σ = 0.7 … 64 px that no flag speaks against, whose
-/// columns hold five grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other
-/// than the centroid if speckle is all but averaged out
-/// ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+/// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.7 … 64 px
+/// wide (pixels and their noise widen a line: 0.5 px measures as 0.7), whose columns
+/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]), which are not too fine
+/// ([`FINE_GRAIN_PX`]); for finders other than the centroid if speckle is all but
+/// averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
+    /// Narrowest line it is valid for, px.
+    narrowest: f64,
     /// Relative variance of the light of a pixel.
     pixel_variance: f64,
     /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
@@ -78,9 +85,11 @@ impl ErrorModel {
         let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
         let (least, most) = SIGMAS_PX;
         let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+        let fine = grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0);
         ErrorModel {
             finder,
             gain_dn_per_e,
+            narrowest: if fine { FINE_GRAIN_PX.1 } else { least },
             pixel_variance: covariance[0],
             nodes: (0..NODES)
                 .map(|i| Variances::of(finder, sigma(i), &covariance))
@@ -96,7 +105,8 @@ impl ErrorModel {
         let widths = line_widths(peaks);
         let shape =
             self.finder == PeakFinder::Centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE;
-        let of = |(peak, sigma): (&mut Peak, f64)| {
+        let of = |(peak, width): (&mut Peak, Option<f64>)| {
+            let sigma = width.unwrap_or(peak.sigma);
             let at = self.at(sigma);
             let n = peak.intensity;
             let variance = at.speckle
@@ -104,7 +114,8 @@ impl ErrorModel {
                 + at.white * (peak.noise / n).powi(2)
                 + bias(self.finder, sigma).powi(2) / 3.0;
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
-                && (SIGMAS_PX.0..=SIGMAS_PX.1).contains(&sigma)
+                && width.is_some()
+                && (self.narrowest..=SIGMAS_PX.1).contains(&sigma)
                 && at.light <= LARGEST_LIGHT_VARIANCE
                 && shape;
             peak.flags.set(Flags::OUTSIDE, !inside);
@@ -225,30 +236,24 @@ fn bias(finder: PeakFinder, sigma: f64) -> f64 {
     }
 }
 
-/// Width of each line: root mean square of the σ of the lines without flags among
-/// the [`NEIGHBOURS`]; its own without any. The mean of a column's variance about
-/// its own centroid is the line's, to first order in speckle: what the centroid's
-/// scatter takes off, the ratio adds. A median would be some per cent short.
-fn line_widths(peaks: &[Peak]) -> Vec<f64> {
+/// Width of each line: that of the lines without flags around it; its own without
+/// any.
+///
+/// `None` where more than a tenth of the neighbours are flagged as wide: those left
+/// are then the narrow ones of lines that are wider, as on a steep wall, and would
+/// give too small a width.
+fn line_widths(peaks: &[Peak]) -> Vec<Option<f64>> {
     let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
-    let mut sums = vec![(0.0, 0usize); columns + 1];
-    for peak in peaks {
-        if peak.flags.difference(Flags::OUTSIDE).is_empty() {
-            sums[peak.column as usize + 1] = (peak.sigma.powi(2), 1);
-        }
-    }
-    for i in 0..columns {
-        sums[i + 1].0 += sums[i].0;
-        sums[i + 1].1 += sums[i].1;
-    }
+    let those = |chosen: fn(&Peak) -> bool| {
+        let chosen = peaks.iter().filter(move |p| chosen(p));
+        Neighbourhood::new(columns, chosen.map(|p| (p.column, p.sigma)))
+    };
+    let alike = those(|p| p.flags.difference(Flags::OUTSIDE).is_empty());
+    let wide = those(|p| p.flags.contains(Flags::WIDE));
     let width = |peak: &Peak| {
-        let column = peak.column as usize;
-        let from = sums[column.saturating_sub(NEIGHBOURS)];
-        let to = sums[(column + NEIGHBOURS + 1).min(columns)];
-        match to.1 - from.1 {
-            0 => peak.sigma,
-            n => ((to.0 - from.0) / n as f64).max(0.0).sqrt(),
-        }
+        let (count, width) = alike.around(peak.column);
+        let (wider, _) = wide.around(peak.column);
+        (9 * wider <= count).then(|| width.unwrap_or(peak.sigma))
     };
     peaks.iter().map(width).collect()
 }
@@ -312,9 +317,14 @@ mod tests {
         for width in widths {
             // Fewest and most wide ones: 15 of the first 32 that count, 17 of the
             // last 33.
-            let square = width * width;
+            let square = width.unwrap().powi(2);
             assert!((16.49..=17.25).contains(&square), "{square}");
         }
-        assert_eq!(line_widths(&[]), Vec::<f64>::new());
+        for peak in &mut peaks[60..70] {
+            peak.flags = Flags::WIDE;
+        }
+        let widths = line_widths(&peaks);
+        assert!(widths[65].is_none() && widths[20].is_some());
+        assert_eq!(line_widths(&[]), []);
     }
 }
