@@ -57,8 +57,7 @@ impl Mesh {
     /// Welds triangles over `corners` (millimetres, finite); a triangle is
     /// three indices into it.
     fn welded(corners: &[DVec3], triangles: &[[u32; 3]]) -> Mesh {
-        let vertices = corners.len().min(weld::usual_vertices(triangles.len()));
-        let welded = weld::triangles(triangles.len(), vertices, |t| {
+        let welded = weld::triangles(triangles.len(), |t| {
             triangles[t].map(|v| weld::bits(corners[v as usize]))
         });
         Mesh {
