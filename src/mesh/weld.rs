@@ -6,6 +6,7 @@
 //! kinds of table fit a core's cache, and both steps run in parallel.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rayon::prelude::*;
@@ -115,12 +116,12 @@ impl<K: Key> Table<K> {
 
 /// A run of triangles, welded by itself.
 struct Chunk<K> {
-    /// In order of first appearance in the chunk.
+    /// Those of a shard together.
     keys: Vec<K>,
-    /// Numbers of the keys, those of a shard together and in order.
-    sharded: Vec<u32>,
-    /// Where each shard begins in `sharded`, and the end.
+    /// Where each shard begins in `keys`, and the end.
     starts: [u32; SHARDS + 1],
+    /// The place in `keys` of each in order of first appearance in the chunk.
+    places: Vec<u32>,
     /// Keys of all chunks before this one.
     before: usize,
 }
@@ -131,6 +132,7 @@ fn shard<K: Key>(key: K, seed: u64) -> usize {
 }
 
 impl<K: Key> Chunk<K> {
+    /// `keys` in order of first appearance.
     fn new(keys: Vec<K>, seed: u64) -> Chunk<K> {
         let mut starts = [0; SHARDS + 1];
         for &key in &keys {
@@ -140,22 +142,24 @@ impl<K: Key> Chunk<K> {
             starts[i + 1] += starts[i];
         }
         let mut next = starts;
-        let mut sharded = vec![0; keys.len()];
-        for (number, &key) in keys.iter().enumerate() {
+        let mut sharded = keys.clone();
+        let place = |&key: &K| {
             let place = &mut next[shard(key, seed)];
-            sharded[*place as usize] = number as u32;
+            sharded[*place as usize] = key;
             *place += 1;
-        }
+            *place - 1
+        };
+        let places = keys.iter().map(place).collect();
         Chunk {
-            keys,
-            sharded,
+            keys: sharded,
             starts,
+            places,
             before: 0,
         }
     }
 
-    fn of_shard(&self, shard: usize) -> &[u32] {
-        &self.sharded[self.starts[shard] as usize..self.starts[shard + 1] as usize]
+    fn of_shard(&self, shard: usize) -> Range<usize> {
+        self.starts[shard] as usize..self.starts[shard + 1] as usize
     }
 }
 
@@ -194,7 +198,7 @@ pub fn triangles<K: Key>(count: usize, corners: impl Fn(usize) -> [K; 3] + Sync)
     let (keys, numbers) = number(&chunks, &first);
     (triangles.par_chunks_mut(CHUNK).zip(&chunks)).for_each(|(triangles, chunk)| {
         for vertex in triangles.as_flattened_mut() {
-            let first = &first[chunk.before + *vertex as usize];
+            let first = &first[chunk.before + chunk.places[*vertex as usize] as usize];
             *vertex = numbers[first.load(Relaxed) as usize];
         }
     });
@@ -209,9 +213,9 @@ fn first_entries<K: Key>(chunks: &[Chunk<K>], entries: usize, seed: u64) -> Vec<
         let mut table = Table::with_room(entries / SHARDS);
         let mut places = Vec::with_capacity(entries / SHARDS);
         for chunk in chunks {
-            for &local in chunk.of_shard(shard) {
-                let place = chunk.before + local as usize;
-                let number = table.number(chunk.keys[local as usize], seed) as usize;
+            for i in chunk.of_shard(shard) {
+                let place = chunk.before + i;
+                let number = table.number(chunk.keys[i], seed) as usize;
                 if number == places.len() {
                     places.push(place as u32);
                 }
@@ -228,11 +232,11 @@ fn number<K: Key>(chunks: &[Chunk<K>], first: &[AtomicU32]) -> (Vec<K>, Vec<u32>
     let mut keys = Vec::with_capacity(first.len());
     let mut numbers = vec![0; first.len()];
     for chunk in chunks {
-        for (i, &key) in chunk.keys.iter().enumerate() {
-            let place = chunk.before + i;
+        for &i in &chunk.places {
+            let place = chunk.before + i as usize;
             if first[place].load(Relaxed) as usize == place {
                 numbers[place] = keys.len() as u32;
-                keys.push(key);
+                keys.push(chunk.keys[i as usize]);
             }
         }
     }
