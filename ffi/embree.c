@@ -23,8 +23,8 @@ void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, vo
 void lt_device_release(RTCDevice device) { rtcReleaseDevice(device); }
 
 RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
-                           size_t triangles, float **vertex_buffer,
-                           uint32_t **triangle_buffer) {
+                           float **vertex_buffer, size_t triangles,
+                           const uint32_t *triangle_buffer) {
   RTCScene scene = rtcNewScene(device);
   if (!scene) return NULL;
   /* Not COMPACT: with ROBUST, coherent 16-wide occlusion of Debian 12's 3.13.5
@@ -36,19 +36,24 @@ RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
     rtcReleaseScene(scene);
     return NULL;
   }
-  /* Buffers that Embree allocates carry the padding it reads past the end. */
+  /* A vertex buffer that Embree allocates carries the padding it reads past the
+   * end; indices need none. */
   *vertex_buffer = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
       RTC_FORMAT_FLOAT3, 3 * sizeof(float), vertices);
-  *triangle_buffer = rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0,
-      RTC_FORMAT_UINT3, 3 * sizeof(uint32_t), triangles);
-  if (!*vertex_buffer || !*triangle_buffer) {
+  if (!*vertex_buffer) {
     rtcReleaseGeometry(geometry);
     rtcReleaseScene(scene);
     return NULL;
   }
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+      triangle_buffer, 0, 3 * sizeof(uint32_t), triangles);
   rtcAttachGeometryByID(scene, geometry, 0);
   rtcReleaseGeometry(geometry);
   return scene;
+}
+
+void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, void *user) {
+  rtcSetSceneProgressMonitorFunction(scene, function, user);
 }
 
 void lt_scene_commit(RTCScene scene) {

@@ -37,11 +37,15 @@ void lt_device_on_error(RTCDevice device, RTCErrorFunction function, void *user)
 void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, void *user);
 void lt_device_release(RTCDevice device);
 
-/* A medium-quality scene, robust if so asked, of one triangle mesh whose buffers
- * (three floats a vertex, three indices a triangle) are still to be filled. */
+/* A medium-quality scene, robust if so asked, of one triangle mesh whose vertices
+ * (three floats each) are still to be filled in, and whose triangles (three indices
+ * each) stay the caller's for as long as the scene lives. */
 RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
-                           size_t triangles, float **vertex_buffer,
-                           uint32_t **triangle_buffer);
+                           float **vertex_buffer, size_t triangles,
+                           const uint32_t *triangle_buffer);
+/* Calls `function` from any thread with the share done (0 to 1, not in order) while
+ * the scene is committed; if it returns false, that ends with RTC_ERROR_CANCELLED. */
+void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, void *user);
 void lt_scene_commit(RTCScene scene);
 void lt_scene_release(RTCScene scene);
 

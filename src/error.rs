@@ -79,6 +79,19 @@ pub enum Error {
     /// Embree failed.
     #[error("Embree: {0}")]
     Embree(String),
+    /// The machine has too little memory for a mesh.
+    #[error(
+        "{work} takes {:.2} GB, and {:.2} GB of memory are free: take a coarser mesh or a larger \
+         machine",
+        *need as f64 / 1e9, *available as f64 / 1e9
+    )]
+    Memory {
+        /// What, of which mesh, and how its need comes about.
+        work: String,
+        /// Bytes.
+        need: u64,
+        available: u64,
+    },
     /// Another run writes to this folder.
     #[error("another run is writing to {}; wait for its end or choose another folder", .0.display())]
     Busy(PathBuf),
@@ -119,7 +132,7 @@ impl Error {
                 StorageFull | QuotaExceeded => 75,
                 _ => 74,
             },
-            Error::Busy(_) | Error::Interrupted => 75,
+            Error::Memory { .. } | Error::Busy(_) | Error::Interrupted => 75,
         }
     }
 }

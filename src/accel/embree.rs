@@ -6,7 +6,8 @@ use super::refine::nearest_on_triangle;
 use super::{Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::DVec3;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, Watch};
+use rayon::prelude::*;
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::Mutex;
 
@@ -112,19 +113,41 @@ impl Drop for Device {
 }
 
 /// Embree's scene of one mesh.
-pub struct Tree {
+pub struct Tree<'m> {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
-    _device: Device,
+    device: Device,
+    /// The scene refers to its triangles.
+    mesh: &'m Mesh,
+}
+
+/// Who watches a build, and the error with which they ended it.
+struct Watched<'a> {
+    watch: &'a Watch<'a>,
+    error: Mutex<Option<Error>>,
+}
+
+unsafe extern "C" fn tell(watched: *mut c_void, share: f64) -> bool {
+    // SAFETY: `watched` is the Watched given to lt_scene_on_progress, which outlives
+    // the commit and is only read.
+    let watched = unsafe { &*(watched as *const Watched) };
+    match (watched.watch)(share) {
+        Ok(()) => true,
+        Err(error) => {
+            let mut first = watched.error.lock().unwrap_or_else(|p| p.into_inner());
+            first.get_or_insert(error);
+            false
+        }
+    }
 }
 
 // SAFETY: Embree's scenes may be queried from many threads once committed, and
 // nothing here changes one after that.
-unsafe impl Send for Tree {}
+unsafe impl Send for Tree<'_> {}
 // SAFETY: as above.
-unsafe impl Sync for Tree {}
+unsafe impl Sync for Tree<'_> {}
 
-impl Drop for Tree {
+impl Drop for Tree<'_> {
     fn drop(&mut self) {
         // SAFETY: the handle is live and released only here.
         unsafe { ffi::lt_scene_release(self.scene) }
@@ -134,53 +157,83 @@ impl Drop for Tree {
 #[repr(align(64))]
 pub(super) struct Valid(pub(super) [i32; WIDTH]);
 
-impl Tree {
+/// Bytes a triangle takes while the hierarchy is built: 67 of nodes and leaves, 6 of
+/// vertices, 32 of what is sorted.
+pub(super) const BUILD: u64 = 105;
+
+impl<'m> Tree<'m> {
     /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
-    /// such as too little memory.
-    pub(super) fn build(mesh: &Mesh, part: &PartBox, threads: usize) -> Result<Tree> {
-        Tree::on(Device::new(threads)?, mesh, part, true)
+    /// such as too little memory; `watch`'s.
+    pub(super) fn build(
+        mesh: &'m Mesh,
+        part: &PartBox,
+        threads: usize,
+        watch: &Watch,
+    ) -> Result<Tree<'m>> {
+        let tree = Tree::filled(Device::new(threads)?, mesh, part, true)?;
+        tree.commit(watch)?;
+        Ok(tree)
     }
 
-    pub(super) fn on(device: Device, mesh: &Mesh, part: &PartBox, robust: bool) -> Result<Tree> {
-        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    /// A scene of the mesh that is still to be committed.
+    pub(super) fn filled(
+        device: Device,
+        mesh: &'m Mesh,
+        part: &PartBox,
+        robust: bool,
+    ) -> Result<Tree<'m>> {
+        let vertices = mesh.positions.len();
         let mut vertex_buffer = std::ptr::null_mut();
-        let mut triangle_buffer = std::ptr::null_mut();
-        // SAFETY: the device is live and the out-pointers valid for the call.
+        // SAFETY: the device is live, the out-pointer valid for the call. The tree
+        // that releases the scene keeps the mesh borrowed, so its triangles, which
+        // Embree only reads, stay where they are.
         let scene = unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
                 robust,
                 vertices,
-                triangles,
                 &mut vertex_buffer,
-                &mut triangle_buffer,
+                mesh.triangles.len(),
+                mesh.triangles.as_ptr().cast(),
             )
         };
         if scene.is_null() {
             device.check()?;
             return Err(Error::Embree("cannot make a scene".into()));
         }
-        // SAFETY: Embree allocated `3 * vertices` floats and `3 * triangles`
-        // integers (4-byte aligned), zeroed or not, and no one else sees them
-        // before the commit. Writing through slices of such plain numbers is fine.
-        let (vertex_buffer, triangle_buffer) = unsafe {
-            (
-                std::slice::from_raw_parts_mut(vertex_buffer, 3 * vertices),
-                std::slice::from_raw_parts_mut(triangle_buffer, 3 * triangles),
-            )
-        };
-        for (out, p) in vertex_buffer.chunks_exact_mut(3).zip(&mesh.positions) {
-            out.copy_from_slice(&(*p - part.center).as_vec3().to_array());
-        }
-        triangle_buffer.copy_from_slice(mesh.triangles.as_flattened());
         let tree = Tree {
             scene,
-            _device: device,
+            device,
+            mesh,
         };
-        // SAFETY: the scene is live and its buffers are filled.
-        unsafe { ffi::lt_scene_commit(scene) };
-        tree._device.check()?;
+        // SAFETY: Embree allocated `3 * vertices` floats (4-byte aligned), zeroed or
+        // not, and no one else sees them before the commit. Writing through a slice
+        // of such plain numbers is fine.
+        let vertex_buffer = unsafe { std::slice::from_raw_parts_mut(vertex_buffer, 3 * vertices) };
+        (vertex_buffer.par_chunks_exact_mut(3).zip(&mesh.positions)).for_each(|(out, p)| {
+            out.copy_from_slice(&(*p - part.center).as_vec3().to_array());
+        });
         Ok(tree)
+    }
+
+    pub(super) fn commit(&self, watch: &Watch) -> Result<()> {
+        let watched = Watched {
+            watch,
+            error: Mutex::default(),
+        };
+        // SAFETY: the scene is live and its buffers are filled; `watched` outlives
+        // the calls, after which nothing refers to it.
+        unsafe {
+            let user = &watched as *const Watched as *mut c_void;
+            ffi::lt_scene_on_progress(self.scene, Some(tell), user);
+            ffi::lt_scene_commit(self.scene);
+            ffi::lt_scene_on_progress(self.scene, None, std::ptr::null_mut());
+        }
+        let stopped = watched
+            .error
+            .into_inner()
+            .unwrap_or_else(|p| p.into_inner());
+        stopped.map_or_else(|| self.device.check(), Err)
     }
 
     fn pack(rays: &[Ray], part: &PartBox) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
@@ -254,7 +307,7 @@ impl Tree {
     }
 
     /// The point of the mesh nearest to `p`, in f64.
-    pub(super) fn nearest(&self, p: DVec3, mesh: &Mesh, part: &PartBox) -> Nearest {
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBox) -> Nearest {
         struct Search<'a> {
             mesh: &'a Mesh,
             p: DVec3,
@@ -285,7 +338,7 @@ impl Tree {
             true
         }
         let mut search = Search {
-            mesh,
+            mesh: self.mesh,
             p,
             slack: part.resolution() + (p - part.center).length() * 2f64.powi(-20),
             best: Nearest {

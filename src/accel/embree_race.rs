@@ -49,15 +49,15 @@ unsafe extern "C" fn count_memory(memory: *mut c_void, bytes: isize, _done: bool
 }
 
 /// Embree's scene of one mesh whose coordinates f32 holds.
-pub struct BareEmbree {
+pub struct BareEmbree<'m> {
     // Dropped before the memory it counts into.
-    tree: Tree,
+    tree: Tree<'m>,
     memory: Box<Memory>,
 }
 
-impl BareEmbree {
+impl<'m> BareEmbree<'m> {
     /// Errors: what Embree reports.
-    pub fn build(mesh: &Mesh, robust: bool, threads: usize) -> Result<BareEmbree> {
+    pub fn build(mesh: &'m Mesh, robust: bool, threads: usize) -> Result<BareEmbree<'m>> {
         let memory = Box::new(Memory::default());
         let device = Device::new(threads)?;
         let user = &*memory as *const Memory as *mut c_void;
@@ -66,7 +66,8 @@ impl BareEmbree {
         unsafe { ffi::lt_device_on_memory(device.handle, Some(count_memory), user) };
         let mut part = PartBox::new(mesh);
         part.center = crate::math::DVec3::ZERO;
-        let tree = Tree::on(device, mesh, &part, robust)?;
+        let tree = Tree::filled(device, mesh, &part, robust)?;
+        tree.commit(&|_| Ok(()))?;
         Ok(BareEmbree { tree, memory })
     }
 

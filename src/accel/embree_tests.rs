@@ -14,7 +14,7 @@ fn embree_writes_nothing_past_its_structs() {
     }
     let mesh = soup();
     let part = PartBox::new(&mesh);
-    let tree = Tree::build(&mesh, &part, 1).unwrap();
+    let tree = Tree::build(&mesh, &part, 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, WIDTH as u64);
     let (valid, ray, _) = Tree::pack(&rays, &part);
     let mut closest = Guarded {
@@ -60,10 +60,10 @@ fn an_error_of_embree_becomes_an_error() {
     let message = device.check().unwrap_err().to_string();
     assert!(message.contains("out of memory"), "{message}");
     // A mesh no machine has memory for: Embree's own report.
-    let (mut v, mut t) = (std::ptr::null_mut(), std::ptr::null_mut());
-    // SAFETY: the device is live, the out-pointers valid.
+    let (mut v, t) = (std::ptr::null_mut(), [0; 3]);
+    // SAFETY: the device is live, the out-pointer valid, and so is the triangle.
     let scene =
-        unsafe { ffi::lt_mesh_scene_new(device.handle, true, 1 << 50, 1 << 50, &mut v, &mut t) };
+        unsafe { ffi::lt_mesh_scene_new(device.handle, true, 1 << 50, &mut v, 1, t.as_ptr()) };
     assert!(scene.is_null());
     assert!(device.check().is_err());
 }

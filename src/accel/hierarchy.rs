@@ -7,7 +7,7 @@ use super::refine::{Tolerance, refine};
 use super::{Hit, Nearest, Ray, WIDTH, rust_bvh};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, Watch, memory};
 use glam::Vec3;
 
 /// What finds the triangle a ray meets.
@@ -24,6 +24,15 @@ pub enum Backend {
 }
 
 impl Backend {
+    /// Most memory a triangle takes while the hierarchy is built, bytes.
+    fn build_bytes(self) -> u64 {
+        match self {
+            #[cfg(feature = "embree")]
+            Backend::Embree => embree::BUILD,
+            Backend::Rust => rust_bvh::BUILD,
+        }
+    }
+
     /// Name and version of the library behind it, for manifests.
     pub fn version(self) -> String {
         match self {
@@ -95,9 +104,9 @@ impl PartBox {
     }
 }
 
-enum Tree {
+enum Tree<'m> {
     #[cfg(feature = "embree")]
-    Embree(embree::Tree),
+    Embree(embree::Tree<'m>),
     Rust(rust_bvh::Tree),
 }
 
@@ -105,26 +114,36 @@ enum Tree {
 pub struct Accel<'m> {
     mesh: &'m Mesh,
     part: PartBox,
-    tree: Tree,
+    tree: Tree<'m>,
 }
 
 impl<'m> Accel<'m> {
     /// [`Self::build_with`] the default backend: Embree if it is built in.
     pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
-        Accel::build_with(Backend::default(), mesh, threads)
+        Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
     }
 
     /// Builds the hierarchy; Embree with `threads` threads, Rust with those of
-    /// rayon's pool. Errors: what Embree reports, such as too little memory.
-    pub fn build_with(backend: Backend, mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
+    /// rayon's pool and without a word to `watch` before the end. Errors:
+    /// `Error::Memory` if there is too little; what Embree reports; `watch`'s.
+    pub fn build_with(
+        backend: Backend,
+        mesh: &'m Mesh,
+        threads: usize,
+        watch: &Watch,
+    ) -> Result<Accel<'m>> {
+        let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
+        let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
+        memory::require(work, count * bytes, memory::available())?;
         let part = PartBox::new(mesh);
         #[cfg(not(feature = "embree"))]
         let _ = threads;
         let tree = match backend {
             #[cfg(feature = "embree")]
-            Backend::Embree => Tree::Embree(embree::Tree::build(mesh, &part, threads)?),
+            Backend::Embree => Tree::Embree(embree::Tree::build(mesh, &part, threads, watch)?),
             Backend::Rust => Tree::Rust(rust_bvh::Tree::build(mesh, &part)),
         };
+        watch(1.0)?;
         Ok(Accel { mesh, part, tree })
     }
 
@@ -198,7 +217,7 @@ impl<'m> Accel<'m> {
     pub fn nearest(&self, p: DVec3) -> Nearest {
         match &self.tree {
             #[cfg(feature = "embree")]
-            Tree::Embree(tree) => tree.nearest(p, self.mesh, &self.part),
+            Tree::Embree(tree) => tree.nearest(p, &self.part),
             Tree::Rust(tree) => tree.nearest(p, self.mesh, &self.part),
         }
     }

@@ -2,6 +2,7 @@
 
 use super::super::brute;
 use super::*;
+use crate::error::Error;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::shapes;
 use clap::ValueEnum;
@@ -9,7 +10,7 @@ use clap::ValueEnum;
 /// The mesh under every backend that is built in.
 fn accels(mesh: &Mesh) -> impl Iterator<Item = Accel<'_>> {
     let backends = Backend::value_variants().iter();
-    backends.map(|&backend| Accel::build_with(backend, mesh, 1).unwrap())
+    backends.map(|&backend| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap())
 }
 
 fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
@@ -155,7 +156,7 @@ fn no_ray_slips_between_triangles() {
     for p in &mut mesh.positions {
         *p += DVec3::new(900.0, -70.0, 3.0);
     }
-    let accel = Accel::build_with(Backend::Rust, &mesh, 1).unwrap();
+    let accel = Accel::build_with(Backend::Rust, &mesh, 1, &|_| Ok(())).unwrap();
     let (center, key) = (mesh.bounds().center(), Key::new(14, Purpose::SensorNoise));
     let mut aimed = 0;
     for i in 0..45_000u64 {
@@ -237,4 +238,41 @@ fn the_version_that_is_written_down_is_that_of_the_crate() {
     let lock = include_str!("../../Cargo.lock");
     let package = format!("name = \"obvhs\"\nversion = \"{}\"", rust_bvh::OBVHS);
     assert!(lock.contains(&package), "{package}");
+}
+
+/// Enough triangles that Embree tells of the build while it goes on.
+fn large() -> Mesh {
+    shapes::sphere(10.0, 2e-4).unwrap()
+}
+
+#[test]
+fn a_build_tells_how_far_it_is_and_ends() {
+    let mesh = large();
+    let heard = std::sync::Mutex::new(Vec::new());
+    for &backend in Backend::value_variants() {
+        let watch = |share| {
+            heard.lock().unwrap().push(share);
+            Ok(())
+        };
+        Accel::build_with(backend, &mesh, 2, &watch).unwrap();
+        let mut heard = std::mem::take(&mut *heard.lock().unwrap());
+        assert_eq!(heard.pop(), Some(1.0));
+        assert!(heard.iter().all(|share| (0.0..=1.0).contains(share)));
+        let between = heard.iter().filter(|&&share| 0.0 < share && share < 1.0);
+        // The tree in Rust says nothing before its end.
+        assert!(between.count() > 1 || backend == Backend::Rust, "{heard:?}");
+    }
+}
+
+#[test]
+fn a_build_can_be_stopped() {
+    let mesh = large();
+    for &backend in Backend::value_variants() {
+        let watch = |share| match share > 0.3 {
+            true => Err(Error::Interrupted),
+            false => Ok(()),
+        };
+        let stopped = Accel::build_with(backend, &mesh, 2, &watch);
+        assert!(matches!(stopped, Err(Error::Interrupted)));
+    }
 }

@@ -113,6 +113,9 @@ impl Sheared {
     }
 }
 
+/// Bytes a triangle takes while the tree is built.
+pub(super) const BUILD: u64 = 200;
+
 impl Tree {
     pub(super) fn build(mesh: &Mesh, part: &PartBox) -> Tree {
         // f32 meets the planes of a box to within 15 roundings (2⁻²⁴) of the half

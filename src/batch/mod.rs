@@ -33,6 +33,7 @@ pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
 };
 
+use crate::accel::Accel;
 use crate::error::{Error, Result};
 use crate::scene::Scene;
 use std::ops::Range;
@@ -49,10 +50,11 @@ pub enum Coverage {
 }
 
 impl Coverage {
-    fn simulation(self, scene: &Scene) -> Result<Simulation<'_>> {
+    fn simulation<'s>(self, scene: &'s Scene, control: &Control) -> Result<Simulation<'s>> {
+        let accel = control.hierarchy(scene)?;
         match self {
-            Coverage::Footprint => Simulation::new(scene),
-            Coverage::Exhaustive => Simulation::exhaustive(scene),
+            Coverage::Footprint => Simulation::of_footprint(scene, accel),
+            Coverage::Exhaustive => Simulation::of_everything(scene, accel),
         }
     }
 }
@@ -61,10 +63,20 @@ impl Coverage {
 pub struct Control<'a> {
     /// Called with the number of frames done so far, from any thread.
     pub progress: &'a (dyn Fn(u64) + Sync),
+    /// Called with the share of the hierarchy that is built, from any thread, before
+    /// there are frames.
+    pub building: &'a (dyn Fn(f64) + Sync),
     pub stop: &'a AtomicBool,
 }
 
 impl Control<'_> {
+    fn hierarchy<'s>(&self, scene: &'s Scene) -> Result<Accel<'s>> {
+        simulation::hierarchy(scene, &|share| {
+            (self.building)(share);
+            self.check()
+        })
+    }
+
     fn check(&self) -> Result<()> {
         match self.stop.load(Ordering::Relaxed) {
             true => Err(Error::Interrupted),

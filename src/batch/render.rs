@@ -31,7 +31,7 @@ pub fn render(
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
     files::create_folder(out)?;
-    let simulation = coverage.simulation(scene)?;
+    let simulation = coverage.simulation(scene, control)?;
     control.check()?;
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);

@@ -10,6 +10,7 @@ use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
 use crate::integrator::{Plan, Sheet, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, Rigid};
+use crate::mesh::Watch;
 use crate::profile::{Calibration, ErrorModel};
 use crate::scene::{Motion, Scene};
 use crate::speckle::lookup::Method;
@@ -35,17 +36,31 @@ pub struct Simulation<'s> {
 /// many.
 const DARK: u64 = u64::MAX;
 
+/// Builds the hierarchy a scene asks for; `watch` hears how far that is.
+pub(super) fn hierarchy<'s>(scene: &'s Scene, watch: &Watch) -> Result<Accel<'s>> {
+    let threads = rayon::current_num_threads();
+    Accel::build_with(scene.accel, &scene.mesh, threads, watch)
+}
+
 impl<'s> Simulation<'s> {
     pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
+        Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
+    }
+
+    pub(super) fn of_footprint(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
         Ok(Simulation {
             clusters: Some(Clusters::new(&scene.mesh)),
-            ..Simulation::exhaustive(scene)?
+            ..Simulation::of_everything(scene, accel)?
         })
     }
 
     /// One that traces every sample, to the same bytes.
     pub fn exhaustive(scene: &'s Scene) -> Result<Simulation<'s>> {
-        let measuring = Simulation::measuring(scene)?;
+        Simulation::of_everything(scene, hierarchy(scene, &|_| Ok(()))?)
+    }
+
+    pub(super) fn of_everything(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
+        let measuring = Simulation::measuring(scene, accel);
         Ok(Simulation {
             speckle: scene
                 .speckle
@@ -58,17 +73,22 @@ impl<'s> Simulation<'s> {
 
     /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
     pub fn geometry(scene: &'s Scene) -> Result<Simulation<'s>> {
-        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
-        Ok(Simulation {
-            sheet: scene.laser.fan.as_ref().map(sheet),
-            ..Simulation::measuring(scene)?
-        })
+        let accel = hierarchy(scene, &|_| Ok(()))?;
+        Ok(Simulation::of_geometry(scene, accel))
     }
 
-    fn measuring(scene: &'s Scene) -> Result<Simulation<'s>> {
-        Ok(Simulation {
+    pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Simulation<'s> {
+        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
+        Simulation {
+            sheet: scene.laser.fan.as_ref().map(sheet),
+            ..Simulation::measuring(scene, accel)
+        }
+    }
+
+    fn measuring(scene: &'s Scene, accel: Accel<'s>) -> Simulation<'s> {
+        Simulation {
             scene,
-            accel: Accel::build_with(scene.accel, &scene.mesh, rayon::current_num_threads())?,
+            accel,
             plan: plan(scene),
             calibration: scene
                 .calibration
@@ -79,7 +99,7 @@ impl<'s> Simulation<'s> {
             dark: DarkCounts::new(&scene.camera.sensor),
             errors: error_model(scene),
             sheet: None,
-        })
+        }
     }
 
     pub fn view(&self, frame: u32) -> View<'_> {

@@ -15,10 +15,11 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load()?;
+    let scene = arguments.scene.load(output)?;
     let bar = output.progress(batch::CALIBRATION_VIEWS as u64, "views");
     let control = Control {
         progress: &|done| bar.set_position(done),
+        building: &|_| (),
         stop: &STOP,
     };
     let summary = batch::calibrate(scene, &arguments.output, &control);

@@ -21,7 +21,7 @@ struct Check<'a> {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load()?;
+    let scene = arguments.scene.load(output)?;
     let check = Check {
         mesh: mesh::report(&scene.mesh),
         plan: batch::plan(&scene),

@@ -26,7 +26,7 @@ static STOP: AtomicBool = AtomicBool::new(false);
     version,
     about,
     after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
-    70 internal, 74 input/output, 75 temporary (disk full, interrupted): run again."
+    70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -79,8 +79,16 @@ struct SceneArguments {
 }
 
 impl SceneArguments {
-    fn load(&self) -> Result<crate::scene::Scene> {
-        let mut scene = crate::scene::Scene::load(&self.scene)?;
+    fn load(&self, output: &Output) -> Result<crate::scene::Scene> {
+        let bar = output.share("of the mesh read");
+        let scene = crate::scene::Scene::load_watched(&self.scene, &|share| {
+            show(&bar, share);
+            match STOP.load(Ordering::Relaxed) {
+                true => Err(Error::Interrupted),
+                false => Ok(()),
+            }
+        });
+        let mut scene = scene?;
         scene.seed = self.seed.unwrap_or(scene.seed);
         scene.accel = self.accel.accel;
         Ok(scene)
@@ -120,12 +128,20 @@ struct Output {
 impl Output {
     /// A progress bar on stderr if that is a terminal.
     fn progress(&self, steps: u64, of: &str) -> ProgressBar {
+        self.bar(steps, &format!("{{pos}}/{{len}} {of}, {{eta}} left"))
+    }
+
+    /// The same for a share of something, to be given to `show`.
+    fn share(&self, of: &str) -> ProgressBar {
+        self.bar(1000, &format!("{{percent}} % {of}, {{eta}} left"))
+    }
+
+    fn bar(&self, steps: u64, text: &str) -> ProgressBar {
         let bar = ProgressBar::new(steps);
         if self.quiet || !std::io::stderr().is_terminal() {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
-        let style =
-            ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {of}, {{eta}} left"));
+        let style = ProgressStyle::with_template(&format!("{{bar:40}} {text}"));
         bar.with_style(style.expect("the template is valid"))
     }
 
@@ -140,6 +156,14 @@ impl Output {
             Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
             result => result.map_err(Error::io("write to", "stdout".as_ref())),
         }
+    }
+}
+
+/// Draws a share from 0 to 1; at 1 the bar goes.
+fn show(bar: &ProgressBar, share: f64) {
+    bar.set_position((1e3 * share) as u64);
+    if share >= 1.0 {
+        bar.finish_and_clear();
     }
 }
 

@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments};
+use super::{CoverageArguments, Output, STOP, SceneArguments, show};
 use crate::batch::{self, Control};
 use crate::error::Result;
 use std::path::PathBuf;
@@ -18,9 +18,11 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load()?;
+    let scene = arguments.scene.load(output)?;
+    let building = output.share("of the hierarchy built");
     let control = Control {
         progress: &|_| {},
+        building: &|share| show(&building, share),
         stop: &STOP,
     };
     let summary = batch::render(

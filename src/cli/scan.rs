@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments};
+use super::{CoverageArguments, Output, STOP, SceneArguments, show};
 use crate::batch::{self, Control, ScanOptions};
 use crate::error::Result;
 use crate::inspect::chart::short;
@@ -54,7 +54,7 @@ fn frames(text: &str) -> std::result::Result<Range<u32>, String> {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load()?;
+    let scene = arguments.scene.load(output)?;
     let options = ScanOptions {
         coverage: arguments.coverage.coverage(),
         frames: arguments.frames,
@@ -67,8 +67,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         .as_ref()
         .map_or(scene.scan.frames as usize, |f| f.len());
     let bar = output.progress(count as u64, "frames");
+    let building = output.share("of the hierarchy built");
     let control = Control {
         progress: &|done| bar.set_position(done),
+        building: &|share| show(&building, share),
         stop: &STOP,
     };
     let summary = batch::scan(&scene, &options, &arguments.output, &control);

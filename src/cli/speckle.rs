@@ -52,6 +52,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let control = Control {
         progress: &|_| {},
+        building: &|_| (),
         stop: &STOP,
     };
     let summary = batch::speckle(&spec, &arguments.output, &control)?;

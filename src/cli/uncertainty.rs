@@ -19,10 +19,11 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load()?;
+    let scene = arguments.scene.load(output)?;
     let bar = output.progress(arguments.seeds, "seeds");
     let control = Control {
         progress: &|done| bar.set_position(done),
+        building: &|_| (),
         stop: &STOP,
     };
     let Arguments {

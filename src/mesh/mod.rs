@@ -9,13 +9,19 @@
 //! are about the surface, not about shading. Nothing is welded by tolerance:
 //! that would hide the cracks the report exists to show.
 
-use std::fs;
+use std::fs::File;
+use std::io::Read;
+use std::os::unix::fs::FileExt;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use rayon::prelude::*;
 
 use crate::error::{Error, InputError, Place};
 use crate::math::{Aabb, DVec3};
 
 pub mod check;
+pub mod memory;
 mod obj;
 mod ply;
 mod polygon;
@@ -30,6 +36,10 @@ pub use check::{MeshReport, Orientation, report};
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
 /// volumes finite, and a flipped exponent bit from passing as a part.
 pub const LARGEST_MM: f64 = 1e12;
+
+/// Hears how far slow work on a mesh is, from 0 to 1 and from any thread; its error
+/// ends the work.
+pub type Watch<'a> = dyn Fn(f64) -> Result<(), Error> + Sync + 'a;
 
 /// Triangles over shared vertices. Positions are in millimetres in the part's
 /// own frame; every index is below `positions.len()`, every position is
@@ -57,8 +67,7 @@ impl Mesh {
     /// Welds triangles over `corners` (millimetres, finite); a triangle is
     /// three indices into it.
     fn welded(corners: &[DVec3], triangles: &[[u32; 3]]) -> Mesh {
-        let vertices = corners.len().min(weld::usual_vertices(triangles.len()));
-        let welded = weld::triangles(triangles.len(), vertices, |t| {
+        let welded = weld::triangles(triangles.len(), |t| {
             triangles[t].map(|v| weld::bits(corners[v as usize]))
         });
         Mesh {
@@ -82,25 +91,46 @@ impl Mesh {
 /// count or an index that does not fit, a vertex that is not a number or lies
 /// beyond 10¹² mm, no triangle at all.
 ///
-/// Memory is at most 6 times the file for STL, 30 times for OBJ and PLY
-/// (their shortest statements are a few bytes long; usual files need 2 to 5).
+/// `Error::Memory` for a file that would not fit the machine's. It takes 2 times the
+/// file for usual STL and at most 6 times, 30 times for OBJ and PLY (their shortest
+/// statements are a few bytes long; usual files need 2 to 5).
 ///
 /// # Panics
 /// If `unit_mm` is not a positive number: the scene has checked it.
 pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, Error> {
-    parse(path, &read(path)?, unit_mm)
+    parse(path, &read(path, &|_| Ok(()))?, unit_mm)
 }
 
-/// The bytes of a mesh file. Errors: as `load`'s, for what is not a regular file
-/// or cannot be read.
-pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
-    let kind = fs::metadata(path).map_err(Error::io("read", path))?;
+/// The bytes of a mesh file. Errors: as `load`'s, for what is not a regular file,
+/// would not fit or cannot be read; `watch`'s.
+pub fn read(path: &Path, watch: &Watch) -> Result<Vec<u8>, Error> {
+    read_within(path, memory::available(), watch)
+}
+
+/// `read` with so many bytes of memory, if that is known.
+fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec<u8>, Error> {
+    const PIECE: usize = 1 << 24;
+    // Before it is opened, for which a pipe would wait.
+    let kind = path.metadata().map_err(Error::io("read", path))?;
     if !kind.is_file() {
         // A pipe or a device may never end.
         let found = "something that is not a regular file";
         return Err(InputError::new(path, Place::File, found, sniff::EXPECTED).into());
     }
-    fs::read(path).map_err(Error::io("read", path))
+    let file = File::open(path).map_err(Error::io("read", path))?;
+    let mut head = Vec::new();
+    let read = (&file).take(84).read_to_end(&mut head);
+    read.map_err(Error::io("read", path))?;
+    memory::require_for_file(path, &head, kind.len(), available)?;
+    let mut bytes = vec![0; kind.len() as usize];
+    let done = AtomicU64::new(0);
+    (bytes.par_chunks_mut(PIECE).enumerate()).try_for_each(|(i, piece)| {
+        let read = file.read_exact_at(piece, (i * PIECE) as u64);
+        read.map_err(Error::io("read", path))?;
+        let piece = piece.len() as u64;
+        watch((done.fetch_add(piece, Relaxed) + piece) as f64 / kind.len() as f64)
+    })?;
+    Ok(bytes)
 }
 
 /// `load` for bytes already in memory; `path` only names them in errors.

@@ -115,10 +115,13 @@ pub fn stl_count(bytes: &[u8]) -> Option<u64> {
 
 /// Whether the announced triangles fill the file to within a fraction of one.
 fn is_whole_binary_stl(bytes: &[u8]) -> bool {
-    stl_count(bytes).is_some_and(|count| {
-        let end = 84 + 50 * count;
-        count > 0 && (end..end + 50).contains(&(bytes.len() as u64))
-    })
+    stl_count(bytes).is_some_and(|count| fills(count, bytes.len() as u64))
+}
+
+/// Whether that many triangles of a binary STL make a file of this size (bytes).
+pub fn fills(count: u64, size: u64) -> bool {
+    let end = 84 + 50 * count;
+    count > 0 && (end..end + 50).contains(&size)
 }
 
 /// UTF-16 without byte order mark: every other byte of Latin text is zero.

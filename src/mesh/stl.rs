@@ -12,6 +12,7 @@ use super::text::{self, quote};
 use super::{Mesh, Source, sniff, weld};
 use crate::error::{Error, Place};
 use crate::math::DVec3;
+use rayon::prelude::*;
 
 /// Header and triangle count.
 const HEADER: usize = 84;
@@ -26,7 +27,7 @@ pub fn binary(source: &Source) -> Result<Mesh, Error> {
         0x8000_0000 => 0,
         bits => bits,
     };
-    let welded = weld::triangles(records.len(), weld::usual_vertices(records.len()), |t| {
+    let welded = weld::triangles(records.len(), |t| {
         let (corners, _) = records[t][12..48].as_chunks::<12>();
         [0, 1, 2].map(|c| {
             let (xyz, _) = corners[c].as_chunks::<4>();
@@ -34,7 +35,8 @@ pub fn binary(source: &Source) -> Result<Mesh, Error> {
         })
     });
     let position = |key: &[u32; 3]| DVec3::from_array(key.map(|c| f64::from(f32::from_bits(c))));
-    if let Some(bad) = (welded.keys.iter()).position(|key| !source.usable(position(key))) {
+    let bad = |key: &[u32; 3]| !source.usable(position(key));
+    if let Some(bad) = welded.keys.par_iter().position_first(bad) {
         let corners = welded.triangles.as_flattened();
         let corner = corners.iter().position(|&v| v as usize == bad).unwrap();
         let byte = HEADER + corner / 3 * RECORD + 12 * (1 + corner % 3);
@@ -42,7 +44,7 @@ pub fn binary(source: &Source) -> Result<Mesh, Error> {
         return Err(source.unusable(Place::Byte(byte as u64), &what, position(&welded.keys[bad])));
     }
     Ok(Mesh {
-        positions: (welded.keys.iter())
+        positions: (welded.keys.par_iter())
             .map(|key| position(key) * source.unit_mm)
             .collect(),
         triangles: welded.triangles,
@@ -98,7 +100,7 @@ pub fn ascii(source: &Source) -> Result<Mesh, Error> {
         return Err(source.no_triangles(&format!("{solids} empty solids")));
     }
     let count = reader.corners.len() / 3;
-    let welded = weld::triangles(count, weld::usual_vertices(count), |t| {
+    let welded = weld::triangles(count, |t| {
         [0, 1, 2].map(|c| weld::bits(reader.corners[3 * t + c]))
     });
     Ok(Mesh {

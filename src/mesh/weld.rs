@@ -1,18 +1,20 @@
 //! Welding: corners with the same key become one vertex.
 //!
 //! An open-addressing table of vertex numbers with linear probing. On large
-//! meshes its cost is cache misses, so corners are taken in batches: the slots
-//! of a whole batch are read before any is decided, and those independent
-//! reads overlap in the memory system. (Prefetch instructions do the same but
-//! need `unsafe`.)
+//! meshes its cost is cache misses, so runs of triangles are welded by themselves,
+//! which leaves a fifth of the corners, and then these by parts of the hash: both
+//! kinds of table fit a core's cache, and both steps run in parallel.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::hint::black_box;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use rayon::prelude::*;
 
 use crate::math::DVec3;
 
 /// Bit pattern of a position. Equal keys are the same position.
-pub trait Key: Copy + Eq {
+pub trait Key: Copy + Eq + Send + Sync {
     fn hash(self, seed: u64) -> u64;
 }
 
@@ -39,7 +41,7 @@ fn fold(a: u64, b: u64) -> u64 {
 }
 
 /// Vertices to expect of so many triangles: half, when the mesh is closed.
-pub fn usual_vertices(triangles: usize) -> usize {
+fn usual_vertices(triangles: usize) -> usize {
     triangles / 2 + 2
 }
 
@@ -55,107 +57,190 @@ pub struct Welded<K> {
 }
 
 const EMPTY: u32 = u32::MAX;
-const BATCH: usize = 32;
+/// Triangles welded by themselves first: their table stays in a core's cache.
+const CHUNK: usize = 1 << 16;
+/// Parts of the keys by their hash, each with a table of its own.
+const SHARDS: usize = 256;
 
 struct Table<K> {
     /// A power of two long, at most half full.
     slots: Vec<u32>,
     keys: Vec<K>,
-    seed: u64,
 }
 
 impl<K: Key> Table<K> {
+    fn with_room(keys: usize) -> Table<K> {
+        Table {
+            slots: vec![EMPTY; (2 * keys).next_power_of_two()],
+            keys: Vec::with_capacity(keys),
+        }
+    }
+
     fn slot(&self, hash: u64) -> usize {
         hash as usize & (self.slots.len() - 1)
     }
 
-    /// Makes room for `more` keys.
-    fn reserve(&mut self, more: usize) {
-        let needed = 2 * (self.keys.len() + more);
-        if needed <= self.slots.len() {
-            return;
-        }
-        self.slots = vec![EMPTY; needed.next_power_of_two()];
-        for i in 0..self.keys.len() {
-            let mut slot = self.slot(self.keys[i].hash(self.seed));
-            while self.slots[slot] != EMPTY {
-                slot = (slot + 1) & (self.slots.len() - 1);
-            }
-            self.slots[slot] = i as u32;
-        }
-    }
-
-    /// Number of the vertex with this key, new or known.
-    fn vertex(&mut self, key: K, hash: u64) -> u32 {
-        let mut slot = self.slot(hash);
+    /// Number of the key, new or known.
+    fn number(&mut self, key: K, seed: u64) -> u32 {
+        let mut slot = self.slot(key.hash(seed));
         loop {
-            let vertex = self.slots[slot];
-            if vertex == EMPTY {
-                let new = self.keys.len() as u32;
-                self.slots[slot] = new;
-                self.keys.push(key);
-                return new;
+            let number = self.slots[slot];
+            if number == EMPTY {
+                break;
             }
-            if self.keys[vertex as usize] == key {
-                return vertex;
+            if self.keys[number as usize] == key {
+                return number;
             }
             slot = (slot + 1) & (self.slots.len() - 1);
         }
+        let new = self.keys.len() as u32;
+        self.slots[slot] = new;
+        self.keys.push(key);
+        if 2 * self.keys.len() > self.slots.len() {
+            self.grow(seed);
+        }
+        new
     }
 
-    /// Brings what `vertex` will look at into the cache.
-    fn warm(&self, hashes: &[[u64; 3]]) {
-        let mut first = [[EMPTY; 3]; BATCH];
-        for (found, hash) in first.iter_mut().zip(hashes) {
-            *found = hash.map(|h| self.slots[self.slot(h)]);
-        }
-        for vertex in first.as_flattened() {
-            black_box(self.keys.get(*vertex as usize));
-            if let Some(key) = self.keys.get(*vertex as usize) {
-                black_box(*key);
+    fn grow(&mut self, seed: u64) {
+        self.slots = vec![EMPTY; 2 * self.slots.len()];
+        for (number, key) in self.keys.iter().enumerate() {
+            let mut slot = self.slot(key.hash(seed));
+            while self.slots[slot] != EMPTY {
+                slot = (slot + 1) & (self.slots.len() - 1);
             }
+            self.slots[slot] = number as u32;
         }
     }
 }
 
-/// Welds `count` triangles, `corners(t)` being the keys of the `t`-th. Room for
-/// `vertices` is taken at once; more will do, but cost time.
+/// A run of triangles, welded by itself.
+struct Chunk<K> {
+    /// Those of a shard together.
+    keys: Vec<K>,
+    /// Where each shard begins in `keys`, and the end.
+    starts: [u32; SHARDS + 1],
+    /// The place in `keys` of each in order of first appearance in the chunk.
+    places: Vec<u32>,
+    /// Keys of all chunks before this one.
+    before: usize,
+}
+
+fn shard<K: Key>(key: K, seed: u64) -> usize {
+    // The high bits: tables take the low ones.
+    (key.hash(seed) >> (u64::BITS - SHARDS.trailing_zeros())) as usize
+}
+
+impl<K: Key> Chunk<K> {
+    /// `keys` in order of first appearance.
+    fn new(keys: Vec<K>, seed: u64) -> Chunk<K> {
+        let mut starts = [0; SHARDS + 1];
+        for &key in &keys {
+            starts[shard(key, seed) + 1] += 1;
+        }
+        for i in 0..SHARDS {
+            starts[i + 1] += starts[i];
+        }
+        let mut next = starts;
+        let mut sharded = keys.clone();
+        let place = |&key: &K| {
+            let place = &mut next[shard(key, seed)];
+            sharded[*place as usize] = key;
+            *place += 1;
+            *place - 1
+        };
+        let places = keys.iter().map(place).collect();
+        Chunk {
+            keys: sharded,
+            starts,
+            places,
+            before: 0,
+        }
+    }
+
+    fn of_shard(&self, shard: usize) -> Range<usize> {
+        self.starts[shard] as usize..self.starts[shard + 1] as usize
+    }
+}
+
+/// Welds `count` triangles, `corners(t)` being the keys of the `t`-th, with the
+/// threads of rayon's pool, to the same result with any number of them.
 ///
 /// # Panics
-/// At 2³² − 1 vertices, which only files beyond 70 GB can hold.
-pub fn triangles<K: Key>(
-    count: usize,
-    vertices: usize,
-    corners: impl Fn(usize) -> [K; 3],
-) -> Welded<K> {
+/// At 2³² − 1 vertices, each counted once in every 65536 triangles that use it,
+/// which only files beyond 70 GB can hold.
+pub fn triangles<K: Key>(count: usize, corners: impl Fn(usize) -> [K; 3] + Sync) -> Welded<K> {
     // The seed only defends against files made to collide; vertex numbers
     // follow first appearance and do not depend on it.
-    let mut table = Table {
-        slots: Vec::new(),
-        keys: Vec::new(),
-        seed: RandomState::new().build_hasher().finish() | 1 << 40,
-    };
-    table.keys.reserve(vertices);
-    table.reserve(vertices);
-    let mut triangles = Vec::with_capacity(count);
-    let mut keys = Vec::with_capacity(BATCH);
-    let mut hashes = Vec::with_capacity(BATCH);
-    for start in (0..count).step_by(BATCH) {
-        keys.clear();
-        keys.extend((start..count.min(start + BATCH)).map(&corners));
-        hashes.clear();
-        hashes.extend(keys.iter().map(|k| k.map(|key| key.hash(table.seed))));
-        table.reserve(3 * BATCH);
-        table.warm(&hashes);
-        for (k, h) in keys.iter().zip(&hashes) {
-            triangles.push(std::array::from_fn(|i| table.vertex(k[i], h[i])));
+    let seed = RandomState::new().build_hasher().finish() | 1 << 40;
+    let mut triangles = vec![[0; 3]; count];
+    let weld = |(chunk, triangles): (usize, &mut [[u32; 3]])| {
+        let mut table = Table::with_room(usual_vertices(triangles.len()));
+        for (i, triangle) in triangles.iter_mut().enumerate() {
+            *triangle = corners(CHUNK * chunk + i).map(|key| table.number(key, seed));
         }
-        assert!(table.keys.len() < EMPTY as usize - 3 * BATCH);
+        table.keys
+    };
+    if count <= CHUNK {
+        let keys = weld((0, &mut triangles));
+        return Welded { keys, triangles };
     }
-    Welded {
-        keys: table.keys,
-        triangles,
+    let mut chunks: Vec<Chunk<K>> = (triangles.par_chunks_mut(CHUNK).enumerate())
+        .map(|chunk| Chunk::new(weld(chunk), seed))
+        .collect();
+    let mut entries = 0;
+    for chunk in &mut chunks {
+        chunk.before = entries;
+        entries += chunk.keys.len();
     }
+    assert!(entries < EMPTY as usize, "too many vertices");
+    let first = first_entries(&chunks, entries, seed);
+    let (keys, numbers) = number(&chunks, &first);
+    (triangles.par_chunks_mut(CHUNK).zip(&chunks)).for_each(|(triangles, chunk)| {
+        for vertex in triangles.as_flattened_mut() {
+            let first = &first[chunk.before + chunk.places[*vertex as usize] as usize];
+            *vertex = numbers[first.load(Relaxed) as usize];
+        }
+    });
+    Welded { keys, triangles }
+}
+
+/// For each key of each chunk, where among all of them it first appears.
+fn first_entries<K: Key>(chunks: &[Chunk<K>], entries: usize, seed: u64) -> Vec<AtomicU32> {
+    // Each is written once. Atomic only because a shard's lie between others'.
+    let first: Vec<AtomicU32> = (0..entries).into_par_iter().map(|_| 0.into()).collect();
+    (0..SHARDS).into_par_iter().for_each(|shard| {
+        let mut table = Table::with_room(entries / SHARDS);
+        let mut places = Vec::with_capacity(entries / SHARDS);
+        for chunk in chunks {
+            for i in chunk.of_shard(shard) {
+                let place = chunk.before + i;
+                let number = table.number(chunk.keys[i], seed) as usize;
+                if number == places.len() {
+                    places.push(place as u32);
+                }
+                first[place].store(places[number], Relaxed);
+            }
+        }
+    });
+    first
+}
+
+/// The keys in order of first appearance, and the number of each at the place where
+/// it first appears.
+fn number<K: Key>(chunks: &[Chunk<K>], first: &[AtomicU32]) -> (Vec<K>, Vec<u32>) {
+    let mut keys = Vec::with_capacity(first.len());
+    let mut numbers = vec![0; first.len()];
+    for chunk in chunks {
+        for &i in &chunk.places {
+            let place = chunk.before + i as usize;
+            if first[place].load(Relaxed) as usize == place {
+                numbers[place] = keys.len() as u32;
+                keys.push(chunk.keys[i as usize]);
+            }
+        }
+    }
+    (keys, numbers)
 }
 
 #[cfg(test)]
@@ -184,9 +269,40 @@ mod tests {
                     order.len() as u32 - 1
                 })
             })).collect();
-            let welded = triangles(corners.len(), 5, |t| corners[t]);
+            let welded = triangles(corners.len(), |t| corners[t]);
             prop_assert_eq!(welded.triangles, expected);
             prop_assert_eq!(welded.keys, order);
+        }
+    }
+
+    /// Four chunks and a bit, against the standard map: neighbours that share
+    /// vertices, and triangles in no order, whose vertices all chunks have; with one
+    /// thread and with three.
+    #[test]
+    fn chunks_agree_with_a_hash_map() {
+        const COUNT: usize = 4 * CHUNK + 777;
+        let stray = |t: usize, c: usize| fold(t as u64 + 1, 0x9e37_79b9_7f4a_7c15 + c as u64);
+        for in_order in [true, false] {
+            let corners = |t: usize| {
+                [0, 1, 2].map(|c| match in_order {
+                    true => [((t + c) / 2) as u32, c as u32 / 2, 7],
+                    false => [(stray(t, c) % 150_000) as u32, 5, 7],
+                })
+            };
+            let mut known = HashMap::new();
+            let mut order = Vec::new();
+            let mut number = |key| {
+                *known.entry(key).or_insert_with(|| {
+                    order.push(key);
+                    order.len() as u32 - 1
+                })
+            };
+            let expected: Vec<_> = (0..COUNT).map(|t| corners(t).map(&mut number)).collect();
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+                let welded = pool.build().unwrap().install(|| triangles(COUNT, corners));
+                assert!(welded.triangles == expected && welded.keys == order);
+            }
         }
     }
 }

@@ -114,7 +114,8 @@ const CHUNK: usize = 512;
 pub fn race(mesh: &Mesh, effort: Effort, step: &dyn Fn() -> Result<()>) -> Result<Race> {
     let mesh = centred(mesh);
     let (mut racers, builds) = build_all(&mesh, effort, step)?;
-    let reference = Accel::build_with(Backend::Rust, &mesh, rayon::current_num_threads())?;
+    let threads = rayon::current_num_threads();
+    let reference = Accel::build_with(Backend::Rust, &mesh, threads, &|_| Ok(()))?;
     let sets = rays::sets(&reference, effort.rays);
     let checked = (BRUTE_TESTS / sets.len() / mesh.triangles.len()).clamp(16, MOST_CHECKED);
     let truth: Vec<_> = sets.iter().map(|set| truth(&mesh, set, checked)).collect();

@@ -77,9 +77,9 @@ pub fn entrants() -> [Entrant; RACERS] {
 }
 
 /// One ray at a time.
-struct Single(BareEmbree);
+struct Single<'m>(BareEmbree<'m>);
 /// Sixteen.
-struct Packets(BareEmbree);
+struct Packets<'m>(BareEmbree<'m>);
 
 fn single_embree(mesh: &Mesh, robust: bool) -> Result<Box<dyn Racer + '_>> {
     let scene = BareEmbree::build(mesh, robust, rayon::current_num_threads())?;
@@ -91,7 +91,7 @@ fn packet_embree(mesh: &Mesh, robust: bool) -> Result<Box<dyn Racer + '_>> {
     Ok(Box::new(Packets(scene)))
 }
 
-impl Racer for Single {
+impl Racer for Single<'_> {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (ray, hit) in rays.iter().zip(hits) {
             *hit = self.0.closest(ray);
@@ -109,7 +109,7 @@ impl Racer for Single {
     }
 }
 
-impl Racer for Packets {
+impl Racer for Packets<'_> {
     fn closest(&self, rays: &[FlatRay], coherent: bool, hits: &mut [FlatHit]) {
         for (rays, hits) in rays.chunks(WIDTH).zip(hits.chunks_mut(WIDTH)) {
             self.0.closest16(rays, coherent, hits);
@@ -132,7 +132,7 @@ struct Ours<'m>(Accel<'m>, Backend);
 
 fn ours(mesh: &Mesh, backend: Backend) -> Result<Box<dyn Racer + '_>> {
     let threads = rayon::current_num_threads();
-    let accel = Accel::build_with(backend, mesh, threads)?;
+    let accel = Accel::build_with(backend, mesh, threads, &|_| Ok(()))?;
     Ok(Box::new(Ours(accel, backend)))
 }
 

@@ -8,7 +8,7 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::laser::Laser;
 use crate::math::{DVec3, Rigid};
-use crate::mesh::{self, Mesh, shapes};
+use crate::mesh::{self, Mesh, Watch, shapes};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
@@ -63,10 +63,20 @@ pub struct Scene {
 impl Scene {
     /// Reads and validates a scene file and the mesh it names.
     pub fn load(path: &Path) -> Result<Scene> {
+        Scene::load_watched(path, &|_| Ok(()))
+    }
+
+    /// The same; `watch` hears how much of the mesh is read.
+    pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
         let source = Source::read(path)?;
         let file: SceneFile =
             toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
-        Resolver { source, path }.scene(file)
+        let resolver = Resolver {
+            source,
+            path,
+            watch,
+        };
+        resolver.scene(file)
     }
 
     /// Pose of the head in a frame.
@@ -93,6 +103,7 @@ impl Scene {
 pub(super) struct Resolver<'a> {
     pub(super) source: Source,
     pub(super) path: &'a Path,
+    watch: &'a Watch<'a>,
 }
 
 impl Resolver<'_> {
@@ -232,9 +243,12 @@ impl Resolver<'_> {
                 let expected = format!("a mesh file; there is none at {}", file.display());
                 return Err(self.source.wrong("part.mesh.file", &expected));
             }
-            let bytes = mesh::read(&file)?;
-            let mesh = mesh::parse(&file, &bytes, table.unit.mm())?;
-            return Ok((mesh, Sha256::digest(&bytes).to_vec()));
+            let bytes = mesh::read(&file, self.watch)?;
+            let (mesh, hash) = rayon::join(
+                || mesh::parse(&file, &bytes, table.unit.mm()),
+                || Sha256::digest(&bytes).to_vec(),
+            );
+            return Ok((mesh?, hash));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane.size_mm", shapes::plane(table.size_mm.into()));
