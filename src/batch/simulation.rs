@@ -31,8 +31,8 @@ pub struct Simulation<'s> {
     pub(super) sheet: Option<Sheet>,
 }
 
-/// Tells the keys of groups of dark pixels from those of pixels: no sensor has as
-/// many.
+/// Tells the key of the groups of dark pixels from those of pixels: no sensor has
+/// as many.
 const DARK: u64 = u64::MAX;
 
 impl<'s> Simulation<'s> {
@@ -99,6 +99,8 @@ impl<'s> Simulation<'s> {
             part_from_camera: part_from_head * scene.head_from_camera,
             speckle: self.speckle.as_ref().map(|p| p.at(place, &part_from_head)),
             samples_per_side: self.plan.samples_per_side,
+            sampling: self.plan.sampling,
+            cutoff_radii: self.plan.cutoff_radii,
         }
     }
 
@@ -132,7 +134,7 @@ impl<'s> Simulation<'s> {
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
-        let group = |i: usize| key.with(DARK).with((i / DARK_GROUP) as u64);
+        let dark_key = key.with(DARK);
         let mut counts = vec![0; irradiance.len()];
         counts
             .par_chunks_mut(DARK_GROUP)
@@ -141,13 +143,18 @@ impl<'s> Simulation<'s> {
             .with_min_len(1024)
             .for_each(|(chunk, (counts, irradiance))| {
                 let first = chunk * DARK_GROUP;
-                let is_dark = |i: usize| irradiance[i] == 0.0;
-                if let Some(dark) = &self.dark {
-                    dark.draw(counts, is_dark, group(first), |i| pixel(first + i));
-                }
-                for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
-                    if self.dark.is_none() || e != 0.0 {
-                        *count = sensor.count(e as f64 * electrons, pixel(first + i));
+                let pixel = |i: usize| pixel(first + i);
+                let lit = |i: usize, count: &mut u16| {
+                    *count = sensor.count(irradiance[i] as f64 * electrons, pixel(i));
+                };
+                let Some(dark) = &self.dark else {
+                    counts.iter_mut().enumerate().for_each(|(i, c)| lit(i, c));
+                    return;
+                };
+                dark.draw(counts, dark_key.bits(chunk as u64), pixel);
+                for (i, count) in counts.iter_mut().enumerate() {
+                    if irradiance[i] != 0.0 {
+                        lit(i, count);
                     }
                 }
             });
