@@ -299,7 +299,7 @@ fn scenes_seen_through_a_distorting_lens_are_the_same_to_the_bit() {
     for (i, (name, mesh)) in parts().iter().enumerate() {
         let part = Part::new(mesh, &fields);
         let mut lit = 0;
-        for seed in 0..60 {
+        for seed in 0..90 {
             let mut random = Random::new(1000 * i as u64 + seed);
             let mut setup = Setup::random(mesh, &mut random);
             let reach = setup.camera.model().reach().unwrap();

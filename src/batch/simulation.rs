@@ -34,6 +34,8 @@ pub struct Simulation<'s> {
 /// Tells the key of the groups of dark pixels from those of pixels: no sensor has
 /// as many.
 const DARK: u64 = u64::MAX;
+/// Groups of dark pixels to a task.
+const DARK_GROUPS: usize = 4096;
 
 impl<'s> Simulation<'s> {
     pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
@@ -136,25 +138,22 @@ impl<'s> Simulation<'s> {
         let pixel = |i: usize| key.with(i as u64);
         let dark_key = key.with(DARK);
         let mut counts = vec![0; irradiance.len()];
-        counts
-            .par_chunks_mut(DARK_GROUP)
-            .zip(irradiance.par_chunks(DARK_GROUP))
+        let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP);
+        tasks
+            .zip(irradiance.par_chunks(DARK_GROUPS * DARK_GROUP))
             .enumerate()
-            .with_min_len(1024)
-            .for_each(|(chunk, (counts, irradiance))| {
-                let first = chunk * DARK_GROUP;
-                let pixel = |i: usize| pixel(first + i);
-                let lit = |i: usize, count: &mut u16| {
-                    *count = sensor.count(irradiance[i] as f64 * electrons, pixel(i));
-                };
-                let Some(dark) = &self.dark else {
-                    counts.iter_mut().enumerate().for_each(|(i, c)| lit(i, c));
-                    return;
-                };
-                dark.draw(counts, dark_key.bits(chunk as u64), pixel);
-                for (i, count) in counts.iter_mut().enumerate() {
-                    if irradiance[i] != 0.0 {
-                        lit(i, count);
+            .for_each(|(task, (counts, irradiance))| {
+                let group = task * DARK_GROUPS;
+                let first = group * DARK_GROUP;
+                if let Some(dark) = &self.dark {
+                    for (i, counts) in counts.chunks_mut(DARK_GROUP).enumerate() {
+                        let bits = dark_key.bits((group + i) as u64);
+                        dark.draw(counts, bits, |k| pixel(first + i * DARK_GROUP + k));
+                    }
+                }
+                for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
+                    if self.dark.is_none() || e != 0.0 {
+                        *count = sensor.count(e as f64 * electrons, pixel(first + i));
                     }
                 }
             });

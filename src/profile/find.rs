@@ -75,6 +75,9 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
     peaks
 }
 
+/// Rows that are turned together: of one column they are stored at once.
+const TILE_ROWS: usize = 8;
+
 /// The image column by column.
 fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     let rows = counts.len() / columns;
@@ -82,9 +85,17 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     for first in (0..columns).step_by(STRIP) {
         let width = STRIP.min(columns - first);
         let strip = &mut by_column[first * rows..];
-        for (i, row) in counts.chunks_exact(columns).enumerate() {
-            for (j, &count) in row[first..first + width].iter().enumerate() {
-                strip[j * rows + i] = count;
+        for (i, band) in counts.chunks(columns * TILE_ROWS).enumerate() {
+            let mut tile = [[0; TILE_ROWS]; STRIP];
+            let height = band.len() / columns;
+            for (k, row) in band.chunks_exact(columns).enumerate() {
+                for (turned, &count) in tile.iter_mut().zip(&row[first..first + width]) {
+                    turned[k] = count;
+                }
+            }
+            for (j, turned) in tile[..width].iter().enumerate() {
+                let to = &mut strip[j * rows + i * TILE_ROWS..][..height];
+                to.copy_from_slice(&turned[..height]);
             }
         }
     }
