@@ -164,15 +164,10 @@ fn throughput(c: &mut Criterion) {
     }
     for larger in &simulations[1..] {
         let triangles = larger.scene.mesh.triangles.len();
-        one_thread.install(|| {
-            print_ratio(
-                &format!("frame, {triangles} triangles / 100 000"),
-                31,
-                |i| {
-                    let number = 450 + i as u32;
-                    seconds(|| frame(larger, number)) / seconds(|| frame(&simulations[0], number))
-                },
-            )
+        let name = format!("frame, {triangles} triangles / 100 000");
+        print_ratio(&name, 31, |i| {
+            let number = 450 + i as u32;
+            seconds(|| frame(larger, number)) / seconds(|| frame(&simulations[0], number))
         });
     }
     let simulation = &simulations[1];
@@ -192,19 +187,7 @@ fn throughput(c: &mut Criterion) {
         b.iter(|| simulation.measure(480, &counts))
     });
     geometry(&mut group, simulation.scene);
-    for (name, sampling) in [
-        ("every pixel / footprint", Sampling::Planes),
-        ("every sample / footprint", Sampling::Rays),
-    ] {
-        let mut all = simulation.view(480);
-        all.sampling = sampling;
-        if sampling == view.sampling {
-            assert_eq!(irradiance_image(&all), light);
-        }
-        print_ratio(name, 3, |_| {
-            seconds(|| irradiance_image(&all)) / seconds(|| footprint_image(&view, &clusters))
-        });
-    }
+    against_all(simulation, &clusters);
     #[cfg(feature = "race")]
     bare::against_integrator(simulation);
     let found = batch(simulation);
@@ -215,6 +198,25 @@ fn throughput(c: &mut Criterion) {
         one / two
     });
     group.finish();
+}
+
+/// The footprint against every pixel, and against a ray for every sample of them.
+fn against_all(simulation: &Simulation, clusters: &Clusters) {
+    let view = simulation.view(480);
+    let light = footprint_image(&view, clusters);
+    for (name, sampling) in [
+        ("every pixel / footprint", Sampling::Planes),
+        ("every sample / footprint", Sampling::Rays),
+    ] {
+        let mut all = simulation.view(480);
+        all.sampling = sampling;
+        if sampling == view.sampling {
+            assert_eq!(irradiance_image(&all), light);
+        }
+        print_ratio(name, 3, |_| {
+            seconds(|| irradiance_image(&all)) / seconds(|| footprint_image(&view, clusters))
+        });
+    }
 }
 
 /// Laser rays without images, by the profile: the rays of a sheet.

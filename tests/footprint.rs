@@ -1,5 +1,7 @@
 //! Tracing only what may see lit surface gives the bytes of tracing everything.
 
+mod random;
+
 use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
@@ -8,7 +10,6 @@ use lasertrace::integrator::{
     Patterns, Sampling, Speckle, View, footprint_image, irradiance_image,
 };
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
-use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::scene::Scene;
@@ -17,44 +18,8 @@ use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
 use lasertrace::speckle::lookup::Coherence;
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use lasertrace::surface::Lambert;
+use random::Random;
 use std::path::{Path, PathBuf};
-
-/// A sequence of random choices, the same on every run.
-struct Random(Key, u64);
-
-impl Random {
-    fn new(seed: u64) -> Random {
-        Random(Key::new(seed, Purpose::SensorNoise), 0)
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.1 += 1;
-        low + (high - low) * self.0.uniform(self.1)
-    }
-
-    /// Uniform in the logarithm.
-    fn scale(&mut self, low: f64, high: f64) -> f64 {
-        self.between(low.ln(), high.ln()).exp()
-    }
-
-    /// One of 0 to n - 1.
-    fn choice(&mut self, n: usize) -> usize {
-        self.between(0.0, n as f64) as usize
-    }
-
-    fn vector(&mut self, half: f64) -> DVec3 {
-        DVec3::from_array(std::array::from_fn(|_| self.between(-half, half)))
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        loop {
-            let v = self.vector(1.0);
-            if (0.1..1.0).contains(&v.length()) {
-                return v.normalize();
-            }
-        }
-    }
-}
 
 /// All that a view borrows.
 struct Setup {

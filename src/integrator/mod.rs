@@ -1,6 +1,7 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
 mod bend;
+mod cutoff;
 mod direct;
 mod footprint;
 mod geometric;

@@ -2,8 +2,9 @@
 //! needs.
 
 use super::Sampling;
+use super::cutoff::cutoff_radii;
 use crate::camera::Camera;
-use crate::laser::{CUTOFF_RADII, Laser};
+use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
@@ -121,39 +122,6 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
     line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
 }
 
-/// What light beyond the cutoff may add to any pixel, electrons or counts,
-/// whichever is less light: no noise is as small.
-const UNSEEN: f64 = 1e-3;
-/// Speckle is brighter than this many times its mean in 2e-9 of all places.
-const BRIGHTEST_SPECKLE: f64 = 20.0;
-
-/// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from
-/// an upper bound of the brightest pixel: white paint across the beam where the part
-/// is nearest to the laser, the waist lying there, in speckle of
-/// [`BRIGHTEST_SPECKLE`].
-fn cutoff_radii(laser: &Laser, camera: &Camera, part_in_laser: &[Aabb]) -> f64 {
-    let beam = &laser.beam;
-    let nearest = part_in_laser.iter().map(|part| part.min.z.max(0.0));
-    let nearest = nearest.fold(f64::INFINITY, f64::min);
-    let irradiance = beam.power_mw * 2.0 / PI / beam.waist_radius
-        * match laser.fan {
-            None => 1.0 / beam.waist_radius,
-            // √(2/π) = 2/π·√(π/2).
-            Some(fan) => (PI / 2.0).sqrt() * fan.power_per_radian(0.0) / nearest,
-        };
-    let size = camera.sensor.resolution.as_dvec2();
-    let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
-    let behind = corners.map(|corner| camera.sensor_point(corner).z);
-    let behind = behind.into_iter().fold(f64::INFINITY, f64::min);
-    let solid_angle = camera.lens.pupil_area() / (behind * behind);
-    let electrons =
-        irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
-    let unseen = UNSEEN / camera.sensor.gain_dn_per_e.max(1.0);
-    let exponent = (electrons * BRIGHTEST_SPECKLE / unseen).ln();
-    // Infinite if the laser is within the part's box.
-    (exponent / 2.0).max(1.0).sqrt().min(CUTOFF_RADII)
-}
-
 impl Plan {
     /// The plan for a part whose bounding boxes in the laser frame, along the path
     /// of the scan, are `part_in_laser`; `exposure` is `None` if the speed is unknown.
@@ -203,7 +171,6 @@ impl Plan {
         exposure: Option<ExposureMotion>,
         sigma: f64,
     ) -> Vec<Effect> {
-        let n = self.samples_per_side;
         let effect = |effect, modelled, method: String, why: String| Effect {
             effect,
             modelled,
@@ -211,23 +178,7 @@ impl Plan {
             why,
         };
         vec![
-            effect(
-                "pixel integration",
-                true,
-                match n {
-                    1 => "1 ray a pixel".into(),
-                    _ => {
-                        format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many")
-                    }
-                },
-                format!(
-                    "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
-                     dark beyond {:.2} radii",
-                    self.line_half_width_px,
-                    sampling_error(sigma, n).max(1e-6),
-                    self.cutoff_radii
-                ),
-            ),
+            self.pixel_effect(sigma),
             effect(
                 "speckle",
                 speckle.is_some(),
@@ -271,6 +222,25 @@ impl Plan {
             ),
             self.exposure_effect(exposure),
         ]
+    }
+
+    fn pixel_effect(&self, sigma: f64) -> Effect {
+        let n = self.samples_per_side;
+        Effect {
+            effect: "pixel integration",
+            modelled: true,
+            method: match n {
+                1 => "1 ray a pixel".into(),
+                _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
+            },
+            why: format!(
+                "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
+                 dark beyond {:.2} radii",
+                self.line_half_width_px,
+                sampling_error(sigma, n).max(1e-6),
+                self.cutoff_radii
+            ),
+        }
     }
 
     fn exposure_effect(&self, exposure: Option<ExposureMotion>) -> Effect {
