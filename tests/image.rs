@@ -3,8 +3,8 @@
 use glam::UVec2;
 use lasertrace::accel::Accel;
 use lasertrace::camera::{Aperture, Camera, Lens, Sensor};
-use lasertrace::integrator::{View, irradiance_image};
-use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
+use lasertrace::integrator::{Sampling, View, irradiance_image};
+use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::surface::Lambert;
@@ -75,6 +75,8 @@ impl Setup {
             part_from_camera: self.part_from_camera,
             speckle: None,
             samples_per_side: self.samples_per_side,
+            sampling: Sampling::Planes,
+            cutoff_radii: CUTOFF_RADII,
         })
     }
 }

@@ -306,13 +306,20 @@ impl<'m> Tree<'m> {
             .fold(0, |bits, i| bits | 1 << i)
     }
 
-    /// The point of the mesh nearest to `p`, in f64.
-    pub(super) fn nearest(&self, p: DVec3, part: &PartBox) -> Nearest {
+    /// The point of the mesh nearest to `p`, in f64, which `best` is at most as near.
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, best: Nearest) -> Nearest {
         struct Search<'a> {
             mesh: &'a Mesh,
             p: DVec3,
             slack: f64,
             best: Nearest,
+        }
+        impl Search<'_> {
+            /// Embree compares with f32 vertices and an f32 query point: widened by
+            /// their rounding, no nearer triangle is missed.
+            fn radius(&self) -> f32 {
+                ((self.best.distance + self.slack) * (1.0 + 1e-6)) as f32
+            }
         }
         unsafe extern "C" fn visit(args: *mut ffi::RTCPointQueryFunctionArguments) -> bool {
             // SAFETY: Embree passes valid arguments whose userPtr is the Search
@@ -332,20 +339,14 @@ impl<'m> Tree<'m> {
                 point,
                 distance,
             };
-            // Embree compares with f32 vertices and an f32 query point: widened by
-            // their rounding, no nearer triangle is missed.
-            query.radius = ((distance + search.slack) * (1.0 + 1e-6)) as f32;
+            query.radius = search.radius();
             true
         }
         let mut search = Search {
             mesh: self.mesh,
             p,
             slack: part.resolution() + (p - part.center).length() * 2f64.powi(-20),
-            best: Nearest {
-                triangle: u32::MAX,
-                point: p,
-                distance: f64::INFINITY,
-            },
+            best,
         };
         let [x, y, z] = (p - part.center).as_vec3().to_array();
         let mut query = ffi::RTCPointQuery {
@@ -353,7 +354,7 @@ impl<'m> Tree<'m> {
             y,
             z,
             time: 0.0,
-            radius: f32::INFINITY,
+            radius: search.radius(),
         };
         // SAFETY: the scene is live and committed; query and search outlive the
         // call, and `visit` is the only one to touch them during it.

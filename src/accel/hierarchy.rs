@@ -3,7 +3,7 @@
 
 #[cfg(feature = "embree")]
 use super::embree;
-use super::refine::{Tolerance, refine};
+use super::refine::{Tolerance, nearest_on_triangle, refine};
 use super::{Hit, Nearest, Ray, WIDTH, rust_bvh};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
@@ -213,12 +213,25 @@ impl<'m> Accel<'m> {
     }
 
     /// The point of the mesh nearest to `p`, in f64; of several, that of the first
-    /// triangle.
-    pub fn nearest(&self, p: DVec3) -> Nearest {
+    /// triangle. A triangle close to `p`, if one is known, makes the search shorter.
+    pub fn nearest(&self, p: DVec3, close: Option<u32>) -> Nearest {
+        let mut best = Nearest {
+            triangle: u32::MAX,
+            point: p,
+            distance: f64::INFINITY,
+        };
+        if let Some(triangle) = close {
+            let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
+            best = Nearest {
+                triangle,
+                point,
+                distance: point.distance(p),
+            };
+        }
         match &self.tree {
             #[cfg(feature = "embree")]
-            Tree::Embree(tree) => tree.nearest(p, &self.part),
-            Tree::Rust(tree) => tree.nearest(p, self.mesh, &self.part),
+            Tree::Embree(tree) => tree.nearest(p, &self.part, best),
+            Tree::Rust(tree) => tree.nearest(p, self.mesh, &self.part, best),
         }
     }
 }

@@ -121,7 +121,13 @@ fn nearest_points_agree_with_brute_force() {
         for i in 0..2_000 {
             let p = mesh.bounds().center() + uniform(key, i, -12.0, 12.0);
             let truth = brute::nearest(&mesh, p).unwrap();
-            assert_eq!(accel.nearest(p).distance, truth.distance, "{p}");
+            let found = accel.nearest(p, None);
+            assert_eq!(found.distance, truth.distance, "{p}");
+            // Whatever triangle it starts from, it ends at the same.
+            let last = mesh.triangles.len() as u32 - 1;
+            for close in [0, last / 2, last, found.triangle] {
+                assert_eq!(accel.nearest(p, Some(close)), found, "{p}");
+            }
         }
     }
 }
@@ -208,7 +214,7 @@ fn meshes_of_strange_shapes_are_no_trouble() {
             let hits = accel.closest(&[down(0.2, 0.2), down(0.8, 0.8)], |_, _| true);
             assert_eq!(hits[0].unwrap().point, DVec3::new(0.2, 0.2, 0.0));
             assert!(hits[1].is_none());
-            let near = accel.nearest(DVec3::new(0.25, -1.0, 0.0));
+            let near = accel.nearest(DVec3::new(0.25, -1.0, 0.0), None);
             assert_eq!(near.distance, 1.0);
         }
     }
@@ -229,7 +235,7 @@ fn a_hundred_thousand_equal_triangles_are_one() {
             t_max: 10.0,
         };
         assert_eq!(accel.closest(&[ray], |_, _| true)[0].unwrap().t, 5.0);
-        assert_eq!(accel.nearest(DVec3::Z).triangle, 0);
+        assert_eq!(accel.nearest(DVec3::Z, None).triangle, 0);
     }
 }
 

@@ -200,18 +200,20 @@ impl Tree {
         rays.iter().enumerate().map(bit).sum()
     }
 
-    /// The point of the mesh nearest to `p`; of several, that of the first triangle.
-    pub(super) fn nearest(&self, p: DVec3, mesh: &Mesh, part: &PartBox) -> Nearest {
+    /// The point of the mesh nearest to `p`, which `best` is at most as near; of
+    /// several, that of the first triangle.
+    pub(super) fn nearest(
+        &self,
+        p: DVec3,
+        mesh: &Mesh,
+        part: &PartBox,
+        mut best: Nearest,
+    ) -> Nearest {
         let nodes = &self.bvh.nodes;
         let seen = p - part.center;
         let distance = |node: &Bvh2Node| {
             let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
             seen.distance(seen.clamp(min, max))
-        };
-        let mut best = Nearest {
-            triangle: u32::MAX,
-            point: p,
-            distance: f64::INFINITY,
         };
         // Only a mesh of a strange shape needs more.
         let mut stack: SmallVec<[(u32, f64); 96]> = SmallVec::new();

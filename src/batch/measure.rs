@@ -91,10 +91,12 @@ impl Simulation<'_> {
         let part_from_head = self.scene.part_from_head(frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let measured = peaks.iter().zip(uncertainties);
+        // The triangle nearest to the column before.
+        let mut close = None;
         let points = measured.filter_map(|(peak, &row_sigma)| {
             let (in_head, covariance) = self.point(peak, row_sigma)?;
             let position = part_from_head.point(in_head);
-            let (deviation, normal) = signed_distance(&self.accel, position, eye);
+            let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut close);
             let normal = part_from_head.inverse().vector(normal);
             let sigma = trace(&covariance).max(0.0).sqrt();
             let deviation_sigma = normal.dot(covariance * normal).max(0.0).sqrt();
@@ -138,7 +140,7 @@ impl Simulation<'_> {
         let position = motion.point(point.position);
         CloudPoint {
             position,
-            deviation: signed_distance(&self.accel, position, eye).0,
+            deviation: signed_distance(&self.accel, position, eye, &mut None).0,
             ..*point
         }
     }

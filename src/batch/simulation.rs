@@ -32,9 +32,11 @@ pub struct Simulation<'s> {
     pub(super) sheet: Option<Sheet>,
 }
 
-/// Tells the keys of groups of dark pixels from those of pixels: no sensor has as
-/// many.
+/// Tells the key of the groups of dark pixels from those of pixels: no sensor has
+/// as many.
 const DARK: u64 = u64::MAX;
+/// Groups of dark pixels to a task.
+const DARK_GROUPS: usize = 4096;
 
 /// Builds the hierarchy a scene asks for; `watch` hears how far that is.
 pub(super) fn hierarchy<'s>(scene: &'s Scene, watch: &Watch) -> Result<Accel<'s>> {
@@ -119,6 +121,8 @@ impl<'s> Simulation<'s> {
             part_from_camera: part_from_head * scene.head_from_camera,
             speckle: self.speckle.as_ref().map(|p| p.at(place, &part_from_head)),
             samples_per_side: self.plan.samples_per_side,
+            sampling: self.plan.sampling,
+            cutoff_radii: self.plan.cutoff_radii,
         }
     }
 
@@ -152,18 +156,20 @@ impl<'s> Simulation<'s> {
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
-        let group = |i: usize| key.with(DARK).with((i / DARK_GROUP) as u64);
+        let dark_key = key.with(DARK);
         let mut counts = vec![0; irradiance.len()];
-        counts
-            .par_chunks_mut(DARK_GROUP)
-            .zip(irradiance.par_chunks(DARK_GROUP))
+        let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP);
+        tasks
+            .zip(irradiance.par_chunks(DARK_GROUPS * DARK_GROUP))
             .enumerate()
-            .with_min_len(1024)
-            .for_each(|(chunk, (counts, irradiance))| {
-                let first = chunk * DARK_GROUP;
-                let is_dark = |i: usize| irradiance[i] == 0.0;
+            .for_each(|(task, (counts, irradiance))| {
+                let group = task * DARK_GROUPS;
+                let first = group * DARK_GROUP;
                 if let Some(dark) = &self.dark {
-                    dark.draw(counts, is_dark, group(first), |i| pixel(first + i));
+                    for (i, counts) in counts.chunks_mut(DARK_GROUP).enumerate() {
+                        let bits = dark_key.bits((group + i) as u64);
+                        dark.draw(counts, bits, |k| pixel(first + i * DARK_GROUP + k));
+                    }
                 }
                 for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
                     if self.dark.is_none() || e != 0.0 {

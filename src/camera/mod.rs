@@ -15,7 +15,7 @@ mod sensor;
 pub use dark::{DarkCounts, GROUP as DARK_GROUP};
 pub use distortion::Distortion;
 pub use lens::{Aperture, Lens};
-pub use model::CameraModel;
+pub use model::{CameraModel, Projector};
 pub use sensor::{Noise, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};
@@ -63,7 +63,7 @@ impl Camera {
         self.model().direction(pixel)
     }
 
-    /// See [`CameraModel::project`].
+    /// See [`Projector::project`].
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         self.model().project(point)
     }

@@ -55,30 +55,17 @@ impl CameraModel {
         }
     }
 
-    /// The pixel (column, row, not bounded to the sensor) that sees `point`;
-    /// `None` if it lies at or behind the lens, or so far off axis that its image
-    /// misses the sensor's plane or the distortion is not known there.
+    /// See [`Projector::project`].
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
-        if point.z <= 0.0 {
-            return None;
+        self.projector().project(point)
+    }
+
+    /// For projecting many points.
+    pub fn projector(&self) -> Projector {
+        Projector {
+            model: *self,
+            axes: self.sensor_axes(),
         }
-        let point = match &self.distortion {
-            None => point,
-            Some(distortion) => {
-                let x = point.truncate() / point.z;
-                let covered = distortion.covers(x);
-                covered.then(|| distortion.distort(x).extend(1.0))?
-            }
-        };
-        let axes = self.sensor_axes();
-        let towards = axes.z_axis.dot(point);
-        let scale = self.principal_distance * axes.z_axis.z / towards;
-        if scale <= 0.0 || !scale.is_finite() {
-            return None;
-        }
-        let on_sensor = point * scale - DVec3::Z * self.principal_distance;
-        let on_sensor = DVec2::new(axes.x_axis.dot(on_sensor), axes.y_axis.dot(on_sensor));
-        Some(on_sensor / self.pixel_pitch + self.principal_point)
     }
 
     /// Greatest angle from the axis, as its tangent, at which a chief ray behind
@@ -91,5 +78,43 @@ impl CameraModel {
             let p = self.sensor_point(corner);
             (p.z > 0.0).then(|| reach.max(p.truncate().length() / p.z))
         })
+    }
+}
+
+/// A camera's model with what all points share computed once.
+#[derive(Debug, Clone, Copy)]
+pub struct Projector {
+    model: CameraModel,
+    axes: DMat3,
+}
+
+impl Projector {
+    /// The pixel (column, row, not bounded to the sensor) that sees `point` (camera
+    /// frame); `None` if it lies at or behind the lens, or so far off axis that its
+    /// image misses the sensor's plane or the distortion is not known there.
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        if point.z <= 0.0 {
+            return None;
+        }
+        let CameraModel {
+            principal_distance, ..
+        } = self.model;
+        let point = match &self.model.distortion {
+            None => point,
+            Some(distortion) => {
+                let x = point.truncate() / point.z;
+                let covered = distortion.covers(x);
+                covered.then(|| distortion.distort(x).extend(1.0))?
+            }
+        };
+        let axes = &self.axes;
+        let towards = axes.z_axis.dot(point);
+        let scale = principal_distance * axes.z_axis.z / towards;
+        if scale <= 0.0 || !scale.is_finite() {
+            return None;
+        }
+        let on_sensor = point * scale - DVec3::Z * principal_distance;
+        let on_sensor = DVec2::new(axes.x_axis.dot(on_sensor), axes.y_axis.dot(on_sensor));
+        Some(on_sensor / self.model.pixel_pitch + self.model.principal_point)
     }
 }

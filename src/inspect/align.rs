@@ -96,7 +96,7 @@ impl System {
                 let mut sum = (Matrix6::zeros(), Vector6::zeros(), 0.0);
                 for &p in chunk {
                     let p = moved.point(p);
-                    let nearest = accel.nearest(p);
+                    let nearest = accel.nearest(p, None);
                     let [a, b, c] = accel.mesh().triangle(nearest.triangle as usize);
                     let Some(normal) = (b - a).cross(c - a).try_normalize() else {
                         continue;

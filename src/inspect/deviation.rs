@@ -7,9 +7,16 @@ use serde::Serialize;
 /// Signed distance (mm) from `point` to the nearest point of the mesh, positive
 /// on the side from which `eye` sees the surface there (a mesh's own winding
 /// need not be right), and the unit normal there on that side: along it an error of
-/// the point is one of the distance.
-pub fn signed_distance(accel: &Accel, point: DVec3, eye: DVec3) -> (f64, DVec3) {
-    let nearest = accel.nearest(point);
+/// the point is one of the distance. `close`: a triangle close to the point, if one
+/// is known, and then the nearest.
+pub fn signed_distance(
+    accel: &Accel,
+    point: DVec3,
+    eye: DVec3,
+    close: &mut Option<u32>,
+) -> (f64, DVec3) {
+    let nearest = accel.nearest(point, *close);
+    *close = Some(nearest.triangle);
     let corners = accel.mesh().triangle(nearest.triangle as usize);
     let outward = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
     let sign = match outward.dot(point - nearest.point) < 0.0 {
@@ -72,9 +79,9 @@ mod tests {
             let accel = Accel::build(&mesh, 1).unwrap();
             let above = DVec3::new(0.2, 0.2, 0.01);
             let eye = DVec3::new(0.0, 0.0, 50.0);
-            let (distance, normal) = signed_distance(&accel, above, eye);
+            let (distance, normal) = signed_distance(&accel, above, eye, &mut None);
             assert!((distance - 0.01).abs() < 1e-12 && (normal - DVec3::Z).length() < 1e-12);
-            let (distance, normal) = signed_distance(&accel, above, -eye);
+            let (distance, normal) = signed_distance(&accel, above, -eye, &mut None);
             assert!((distance + 0.01).abs() < 1e-12 && (normal + DVec3::Z).length() < 1e-12);
         }
     }

@@ -108,6 +108,6 @@ impl Bend {
     /// this departure from the bent ones: so what is marked around the polygon of
     /// the bent corners must reach this much further.
     pub fn sag(&self, extent: f64) -> f64 {
-        0.0 * self.curvature * extent * extent
+        self.curvature * extent * extent
     }
 }

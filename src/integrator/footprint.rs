@@ -1,46 +1,28 @@
-//! Which samples can see lit surface: the triangles that the beam's volume
+//! Which pixels can see lit surface: the triangles that the beam's volume
 //! touches within the camera's view, cut to it and projected to the sensor.
 //!
-//! Nothing lit is left out. A sample shows light only from a point P of its own
-//! ray at which the laser shines, and P is within `Accel::overshoot` of a point Q
+//! Nothing lit is left out. A ray shows light only from a point P of its own at
+//! which the laser shines, and P is within `Accel::overshoot` of a point Q
 //! of a triangle. So P is in the volume, Q in the volume widened by the overshoot
 //! and thus in the cut polygon, and `Projection::spread` bounds how far the image
-//! of Q is from that of P, the sample.
+//! of Q is from that of P, a point of the pixel.
 
 use super::View;
 use super::bend::Bend;
-use super::blocks::Blocks;
+use super::pixels::Pixels;
 use super::polygon::{MOST_CORNERS, Polygon};
 use super::sight::{Image, Projection, Sight};
 use crate::accel::{Clusters, Found, HalfSpace};
 use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 
-/// Where light may be seen.
-pub(super) struct Footprint {
-    /// Blocks that may see light.
-    pub blocks: Blocks,
-    /// Greatest distance of light on the part from the plane of the laser's x and
-    /// z axes, mm.
-    pub reach: f64,
-}
-
-impl Footprint {
-    /// Costs what the beam touches, not what the mesh or the sensor holds.
-    pub fn new(view: &View, sight: &Sight, clusters: &Clusters) -> Footprint {
-        let margin = margin(view);
-        let part = view.accel.bounds();
-        let beam = slices(view.laser, &view.part_from_laser, &part, margin);
-        Footprint {
-            blocks: blocks(view, sight, clusters, &beam, margin),
-            reach: beam.iter().map(|slice| slice.reach).fold(0.0, f64::max) + margin,
-        }
-    }
-}
-
-fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margin: f64) -> Blocks {
+/// The pixels that may see light. Costs what the beam touches, not what the mesh or
+/// the sensor holds.
+pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixels {
+    let margin = margin(view);
+    let beam = slices(view, margin);
     let resolution = view.camera.sensor.resolution;
-    let mut blocks = Blocks::none(resolution, view.samples_per_side);
+    let mut pixels = Pixels::none(resolution);
     let projection = Projection::new(sight, resolution.as_dvec2());
     let bend = Bend::new(view.camera, sight, view.part_from_camera.rotation);
     let frustum = match &bend {
@@ -49,22 +31,15 @@ fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margi
     };
     let detail = detail(view, &projection);
     let mut marker = Marker {
-        blocks: &mut blocks,
-        samples_per_side: view.samples_per_side as f64,
+        pixels: &mut pixels,
         projection,
         bend,
         margin,
     };
     let mut volume = Vec::new();
-    for slice in beam {
+    for borders in beam {
         volume.clear();
-        volume.extend(
-            slice
-                .borders
-                .iter()
-                .chain(&frustum)
-                .map(|h| h.widened(margin)),
-        );
+        volume.extend(borders.iter().chain(&frustum).map(|h| h.widened(margin)));
         clusters.touching(&volume, detail, |found| match found {
             Found::Triangle { index, crossed } => {
                 let mut polygon = Polygon::new(view.accel.mesh().triangle(index as usize));
@@ -78,7 +53,7 @@ fn blocks(view: &View, sight: &Sight, clusters: &Clusters, beam: &[Slice], margi
             Found::Ball { center, radius } => marker.seen_ball(center, radius + margin),
         });
     }
-    blocks
+    pixels
 }
 
 /// How far Q may be from P: the overshoot, and the rounding of f64 in coordinates
@@ -118,15 +93,11 @@ fn frustum(eye: DVec3, projection: &Projection, resolution: DVec2) -> [HalfSpace
     .map(|inward| HalfSpace::new(eye, inward))
 }
 
-/// A piece of the beam over which its width varies little, and which is convex.
-struct Slice {
-    borders: Vec<HalfSpace>,
-    /// Greatest |y| in it, mm.
-    reach: f64,
-}
-
-/// The beam where it may meet the part, cut along its axis.
-fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> Vec<Slice> {
+/// The beam where it may meet the part, cut along its axis into pieces over which
+/// its width varies little, and which are convex: what bounds each.
+fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
+    let (laser, part_from_laser) = (view.laser, &view.part_from_laser);
+    let part = view.accel.bounds();
     let laser_from_part = part_from_laser.inverse();
     let part = Aabb::of(part.corners().map(|c| laser_from_part.point(c)));
     let (near, far) = ((part.min.z - margin).max(0.0), part.max.z + margin);
@@ -157,7 +128,7 @@ fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> V
                 }
                 Some(_) => furthest_x.hypot(to),
             };
-            let reach = laser.reach(from, furthest);
+            let reach = laser.reach(from, furthest, view.cutoff_radii);
             let mut borders = vec![
                 HalfSpace::new(aperture - across * reach.y, across),
                 HalfSpace::new(aperture + across * reach.y, -across),
@@ -165,10 +136,7 @@ fn slices(laser: &Laser, part_from_laser: &Rigid, part: &Aabb, margin: f64) -> V
                 HalfSpace::new(aperture + along * to, -along),
             ];
             borders.extend(sides(laser, part_from_laser, reach.x).into_iter().flatten());
-            Slice {
-                borders,
-                reach: reach.y,
-            }
+            borders
         })
         .collect()
 }
@@ -196,13 +164,12 @@ fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpac
 const ROUNDING: f64 = 1e-2;
 /// Edges that rise less than this (pixels) count as level.
 const LEVEL: f64 = 1e-3;
-/// Polygons lower than this are marked by their bounding box, sub-rows.
-const LOW: f64 = 4.0;
+/// Polygons lower than this are marked by their bounding box, pixels.
+const LOW: f64 = 1.5;
 
-/// Adds to `blocks` what may see something.
+/// Adds to `pixels` what may see something.
 struct Marker<'a> {
-    blocks: &'a mut Blocks,
-    samples_per_side: f64,
+    pixels: &'a mut Pixels,
     projection: Projection,
     bend: Option<Bend>,
     /// How far what is seen may be from what is marked, mm.
@@ -217,7 +184,7 @@ impl Marker<'_> {
         };
         match bend.normalised(center) {
             Some((n, depth)) => self.ball(bend.bent(n), bend.spread(distance, depth)),
-            None => self.blocks.insert_all(),
+            None => self.pixels.insert_all(),
         }
     }
 
@@ -234,7 +201,7 @@ impl Marker<'_> {
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
         for &corner in polygon.corners() {
             let Some((n, depth)) = bend.normalised(corner) else {
-                return self.blocks.insert_all();
+                return self.pixels.insert_all();
             };
             flat.push(n.extend(0.0));
             (low, high) = (low.min(n), high.max(n));
@@ -291,7 +258,7 @@ impl Marker<'_> {
             self.rectangle(pixel - spread, pixel + spread);
         } else if -scale <= distance * self.projection.scale.length() {
             // The lens is in the ball.
-            self.blocks.insert_all();
+            self.pixels.insert_all();
         }
     }
 
@@ -314,47 +281,35 @@ impl Marker<'_> {
         if nearest <= behind || !finite {
             // Within the margin of the lens: cut to the camera's view, nothing
             // else is behind it.
-            return self.blocks.insert_all();
+            return self.pixels.insert_all();
         }
-        if (high.y - low.y) * self.samples_per_side <= LOW {
+        if high.y - low.y <= LOW {
             self.rectangle(low - spread, high + spread);
         } else {
             self.rows(&images[..corners.len()], low.y, high.y, spread);
         }
     }
 
-    /// Sample indices from `low` to `high` (pixels) along an axis with `count`.
-    fn samples(&self, low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
-        // Sample i is at (i + ½)/samples_per_side. Bounds that are not numbers
-        // count as infinite.
-        let first = (low * self.samples_per_side - 0.5).ceil().max(0.0);
-        let last = (high * self.samples_per_side - 0.5)
-            .floor()
-            .min((count - 1) as f64);
-        (first <= last).then_some((first as usize, last as usize))
-    }
-
     fn rectangle(&mut self, low: DVec2, high: DVec2) {
-        let Some((top, bottom)) = self.samples(low.y, high.y, self.blocks.sub_rows) else {
+        let Some((top, bottom)) = cells(low.y, high.y, self.pixels.rows) else {
             return;
         };
-        if let Some((first, last)) = self.samples(low.x, high.x, self.blocks.samples) {
-            for sub_row in top..=bottom {
-                self.blocks.insert(sub_row, first, last);
+        if let Some((first, last)) = cells(low.x, high.x, self.pixels.columns) {
+            for row in top..=bottom {
+                self.pixels.insert(row, first, last);
             }
         }
     }
 
-    /// Sub-row by sub-row what lies within `spread` of a convex polygon that
-    /// spans the rows from `low` to `high`.
+    /// Row by row what lies within `spread` of a convex polygon that spans the rows
+    /// from `low` to `high`.
     fn rows(&mut self, polygon: &[DVec2], low: f64, high: f64, spread: DVec2) {
-        let count = self.blocks.sub_rows;
-        let Some((top, bottom)) = self.samples(low - spread.y, high + spread.y, count) else {
+        let count = self.pixels.rows;
+        let Some((top, bottom)) = cells(low - spread.y, high + spread.y, count) else {
             return;
         };
-        for sub_row in top..=bottom {
-            let y = (sub_row as f64 + 0.5) / self.samples_per_side;
-            let strip = (y - spread.y, y + spread.y);
+        for row in top..=bottom {
+            let strip = (row as f64 - spread.y, row as f64 + 1.0 + spread.y);
             let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
             let mut before = polygon[polygon.len() - 1];
             for &corner in polygon {
@@ -364,13 +319,21 @@ impl Marker<'_> {
                 }
                 before = corner;
             }
-            let samples = self.blocks.samples;
-            let run = self.samples(left - spread.x, right + spread.x, samples);
+            let run = cells(left - spread.x, right + spread.x, self.pixels.columns);
             if let Some((first, last)) = run {
-                self.blocks.insert(sub_row, first, last);
+                self.pixels.insert(row, first, last);
             }
         }
     }
+}
+
+/// The first and the last of `count` pixels in a line that the stretch from `low` to
+/// `high` touches.
+fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
+    // Bounds that are not numbers count as infinite.
+    let first = low.floor().max(0.0);
+    let last = high.floor().min((count - 1) as f64);
+    (first <= last).then_some((first as usize, last as usize))
 }
 
 /// Columns of the ends of the part of the edge `p`–`q` between two rows.

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::camera::{Camera, Lens, Sensor};
+use crate::integrator::Sampling;
 use crate::laser::{Beam, Fan};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::Lambert;
@@ -55,11 +56,11 @@ fn count(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> usize {
         part_from_camera: looking(DVec3::new(0.0, -120.0, 240.0 * 0.75f64.sqrt())),
         speckle: None,
         samples_per_side: 1,
+        sampling: Sampling::Planes,
+        cutoff_radii: crate::laser::CUTOFF_RADII,
     };
     let sight = Sight::new(&camera, &view.part_from_camera);
-    Footprint::new(&view, &sight, &Clusters::new(mesh))
-        .blocks
-        .count()
+    footprint(&view, &sight, &Clusters::new(mesh)).count()
 }
 
 /// Rows that see light to 4 radii on a plane across the beam: 2·4·w·cos 30° at

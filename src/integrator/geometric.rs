@@ -3,7 +3,7 @@
 
 use super::View;
 use crate::accel::{Hit, Ray, WIDTH};
-use crate::camera::Camera;
+use crate::camera::{Camera, Projector};
 use crate::laser::{CUTOFF_RADII, Fan, FanProfile};
 use crate::math::{DVec2, DVec3, Rigid};
 use std::f64::consts::FRAC_PI_2;
@@ -195,6 +195,7 @@ impl Target {
 
 struct Frame<'a> {
     view: &'a View<'a>,
+    camera: Projector,
     camera_from_part: Rigid,
     laser_from_part: Rigid,
     rows: f64,
@@ -204,6 +205,7 @@ impl<'a> Frame<'a> {
     fn new(view: &'a View<'a>) -> Frame<'a> {
         Frame {
             view,
+            camera: view.camera.model().projector(),
             camera_from_part: view.part_from_camera.inverse(),
             laser_from_part: view.part_from_laser.inverse(),
             rows: view.camera.sensor.resolution.y as f64,
@@ -227,7 +229,7 @@ impl<'a> Frame<'a> {
     fn seen(&self, hit: Option<Hit>) -> Option<Seen> {
         let hit = hit?;
         let on_camera = self.camera_from_part.point(hit.point);
-        let image = self.view.camera.project(on_camera)?;
+        let image = self.camera.project(on_camera)?;
         Some(Seen { hit, image })
     }
 
@@ -284,7 +286,7 @@ impl<'a> Frame<'a> {
         let [a, b] = target.ends.map(|end| end.hit.point);
         let step = sheet.cross(hit.normal) * ((b - a).length() * NEAR_CENTER).max(1e-6);
         let on_camera = self.camera_from_part.point(hit.point + step);
-        let across = self.view.camera.project(on_camera)? - *image;
+        let across = self.camera.project(on_camera)? - *image;
         let row = image.y + (target.center() - image.x) * across.y / across.x;
         let light = self.view.laser.at(self.laser_from_part.point(hit.point))?;
         let irradiance = -light.flux.dot(self.laser_from_part.vector(hit.normal));

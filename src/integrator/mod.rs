@@ -1,17 +1,19 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
 mod bend;
-mod blocks;
+mod cutoff;
 mod direct;
 mod footprint;
 mod geometric;
+mod lit;
+mod pixels;
 pub mod plan;
 mod polygon;
 mod sight;
 mod speckle;
 mod truth;
 
-pub use direct::{View, footprint_image, irradiance_image};
+pub use direct::{Sampling, View, footprint_image, irradiance_image};
 pub use geometric::{LinePoint, Sheet};
 pub use plan::Plan;
 pub use speckle::{Patterns, Slip, Speckle};

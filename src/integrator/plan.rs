@@ -1,6 +1,8 @@
 //! Which effects are modelled and how finely, and why: no more than the scene
 //! needs.
 
+use super::Sampling;
+use super::cutoff::cutoff_radii;
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
@@ -14,6 +16,9 @@ use std::f64::consts::PI;
 pub struct Plan {
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
+    pub sampling: Sampling,
+    /// Beam radii at which light is taken to end.
+    pub cutoff_radii: f64,
     /// 1/e² half width of the line's image where it is narrowest on the part, for
     /// a surface across the beam, pixels.
     pub line_half_width_px: f64,
@@ -139,6 +144,8 @@ impl Plan {
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
         let mut plan = Plan {
             samples_per_side: samples,
+            sampling: Sampling::Planes,
+            cutoff_radii: cutoff_radii(laser, camera, part_in_laser),
             line_half_width_px: line.half_width_px,
             speckle_size_px,
             defocus_blur_px: line.defocus_blur_px,
@@ -164,7 +171,6 @@ impl Plan {
         exposure: Option<ExposureMotion>,
         sigma: f64,
     ) -> Vec<Effect> {
-        let n = self.samples_per_side;
         let effect = |effect, modelled, method: String, why: String| Effect {
             effect,
             modelled,
@@ -172,16 +178,7 @@ impl Plan {
             why,
         };
         vec![
-            effect(
-                "pixel integration",
-                true,
-                format!("{n} × {n} samples a pixel"),
-                format!(
-                    "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px",
-                    self.line_half_width_px,
-                    sampling_error(sigma, n).max(1e-6)
-                ),
-            ),
+            self.pixel_effect(sigma),
             effect(
                 "speckle",
                 speckle.is_some(),
@@ -225,6 +222,25 @@ impl Plan {
             ),
             self.exposure_effect(exposure),
         ]
+    }
+
+    fn pixel_effect(&self, sigma: f64) -> Effect {
+        let n = self.samples_per_side;
+        Effect {
+            effect: "pixel integration",
+            modelled: true,
+            method: match n {
+                1 => "1 ray a pixel".into(),
+                _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
+            },
+            why: format!(
+                "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
+                 dark beyond {:.2} radii",
+                self.line_half_width_px,
+                sampling_error(sigma, n).max(1e-6),
+                self.cutoff_radii
+            ),
+        }
     }
 
     fn exposure_effect(&self, exposure: Option<ExposureMotion>) -> Effect {

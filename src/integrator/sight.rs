@@ -15,7 +15,7 @@ pub(super) struct Sight {
     row: DVec3,
     /// Numerator of the pupil's solid angle: area × cos·cos/r² is this × z/r⁴
     /// with r the distance to the sensor point and z that along the axis.
-    pub pupil: f64,
+    pupil: f64,
     /// The lens's distortion, and part_from_camera.
     distortion: Option<(Distortion, DMat3)>,
 }
@@ -52,6 +52,13 @@ impl Sight {
         let x = distortion.undistort(seen, seen + *bend);
         *bend = x - seen;
         *axes * x.extend(1.0)
+    }
+
+    /// Irradiance at a place on the sensor per radiance of what it sees there, sr.
+    pub fn solid_angle(&self, place: DVec2) -> f64 {
+        let to_sensor = self.to_sensor(place);
+        let r2 = to_sensor.length_squared();
+        self.pupil * self.axis.dot(to_sensor) / (r2 * r2)
     }
 
     /// From the eye to a place (column, row) on the sensor, mm; along the chief ray

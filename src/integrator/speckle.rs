@@ -1,6 +1,6 @@
 //! The speckle of one frame, and how its samples read it.
 
-use super::blocks::Blocks;
+use super::pixels::Pixels;
 use crate::accel::WIDTH;
 use crate::camera::Camera;
 use crate::math::DVec2;
@@ -72,8 +72,8 @@ enum Source<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// For reading the samples of `blocks`.
-    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera, blocks: &Blocks) -> Reader<'a> {
+    /// For reading the samples of `pixels`.
+    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera, pixels: &Pixels) -> Reader<'a> {
         let Speckle {
             patterns,
             map,
@@ -95,7 +95,7 @@ impl<'a> Reader<'a> {
                 slip: None,
             } => {
                 let t = |pixel: DVec2| map.position(camera.screen(pixel), displacement).y;
-                Source::InFocus(fields.field(&place, rows_of(fields, camera, blocks, t)))
+                Source::InFocus(fields.field(&place, rows_of(fields, pixels, t)))
             }
             Patterns::Frame {
                 fields,
@@ -146,22 +146,22 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The rows of a field that the samples of `blocks` read; `t` gives the row of a
+/// The rows of a field that the samples of `pixels` read; `t` gives the row of a
 /// place on the sensor.
-fn rows_of(
-    fields: &FrameFields,
-    camera: &Camera,
-    blocks: &Blocks,
-    t: impl Fn(DVec2) -> f64,
-) -> Rows {
+fn rows_of(fields: &FrameFields, pixels: &Pixels, t: impl Fn(DVec2) -> f64) -> Rows {
     let mut rows = Rows::none(fields.spec());
-    let per_sample = camera.sensor.resolution.x as f64 / blocks.samples as f64;
-    for sub_row in 0..blocks.sub_rows {
-        for first in blocks.of(sub_row) {
-            // Along sixteen samples a tilted sensor's rows bend by 1e-4 texel.
-            let [a, b] = [first, first + WIDTH]
-                .map(|sample| t(DVec2::new(sample as f64, sub_row as f64 + 0.5) * per_sample));
-            rows.insert(a, b);
+    for row in 0..pixels.rows {
+        for first in pixels.blocks(row, 0) {
+            // Within sixteen pixels a tilted sensor's rows bend by 1e-3 texel.
+            let corner = |i: usize| {
+                let (x, y) = (first + i % 2 * WIDTH, row + i / 2);
+                t(DVec2::new(x as f64, y as f64))
+            };
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            for t in (0..4).map(corner) {
+                (low, high) = (low.min(t), high.max(t));
+            }
+            rows.insert(low, high);
         }
     }
     rows

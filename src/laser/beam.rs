@@ -1,6 +1,6 @@
 //! Propagation of a Gaussian beam (Siegman 1986, Lasers, ch. 17).
 
-use super::{CUTOFF_RADII, Illumination};
+use super::Section;
 use crate::math::DVec3;
 use std::f64::consts::PI;
 
@@ -44,17 +44,17 @@ impl Beam {
     }
 
     /// Round beam: E = 2P/(π·w²)·exp(-2r²/w²) across the axis.
-    pub(super) fn round(&self, p: DVec3) -> Option<Illumination> {
-        let w = self.radius(p.z);
-        let r2 = p.x * p.x + p.y * p.y;
-        if p.z <= 0.0 || r2 > (CUTOFF_RADII * w).powi(2) {
+    pub(super) fn round(&self, p: DVec3) -> Option<Section> {
+        if p.z <= 0.0 {
             return None;
         }
-        let irradiance = 2.0 * self.power_mw / (PI * w * w) * (-2.0 * r2 / (w * w)).exp();
+        let w = self.radius(p.z);
+        let irradiance = 2.0 * self.power_mw / (PI * w * w);
         let slope = self.relative_slope(p.z);
         let shrink = self.radius(0.0) / w;
-        Some(Illumination {
+        Some(Section {
             flux: irradiance * DVec3::new(p.x * slope, p.y * slope, 1.0),
+            radius: w,
             aperture_point: DVec3::new(p.x * shrink, p.y * shrink, 0.0),
         })
     }

@@ -1,6 +1,6 @@
 //! A line laser: a beam spread into a fan by a Powell or cylindrical lens.
 
-use super::{Beam, CUTOFF_RADII, Illumination};
+use super::{Beam, Section};
 use crate::math::DVec3;
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, SQRT_2};
 
@@ -37,21 +37,30 @@ impl Fan {
 
     /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
     /// origin line (the laser frame's y axis) and y that from the sheet.
-    pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Illumination> {
-        let rho = (p.x * p.x + p.z * p.z).sqrt();
-        let w = beam.radius(rho);
-        if p.z <= 0.0 || p.y.abs() > CUTOFF_RADII * w {
+    pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Section> {
+        if p.z <= 0.0 {
             return None;
         }
-        let per_radian = self.power_per_radian(p.x.atan2(p.z));
+        let per_radian = match self.profile {
+            // |φ| ≤ Φ/2 without the arc tangent, and mostly without the tangent,
+            // which is no less than its angle.
+            FanProfile::Uniform => {
+                let (half, x) = (self.angle / 2.0, p.x.abs());
+                let inside = x <= p.z * half || x <= p.z * half.tan();
+                if inside { 1.0 / self.angle } else { 0.0 }
+            }
+            FanProfile::Gaussian => self.power_per_radian(p.x.atan2(p.z)),
+        };
         if per_radian == 0.0 {
             return None;
         }
-        let irradiance = beam.power_mw * per_radian / rho * FRAC_2_PI.sqrt() / w
-            * (-2.0 * (p.y / w).powi(2)).exp();
+        let rho = (p.x * p.x + p.z * p.z).sqrt();
+        let w = beam.radius(rho);
+        let irradiance = beam.power_mw * per_radian / rho * FRAC_2_PI.sqrt() / w;
         let slope = p.y * beam.relative_slope(rho);
-        Some(Illumination {
+        Some(Section {
             flux: irradiance * DVec3::new(p.x / rho, slope, p.z / rho),
+            radius: w,
             aperture_point: DVec3::new(0.0, p.y * beam.radius(0.0) / w, 0.0),
         })
     }

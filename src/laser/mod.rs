@@ -39,6 +39,26 @@ pub struct Wavefront {
     pub curvature_per_mm: DMat3,
 }
 
+/// The beam around a point, but for its Gaussian profile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Section {
+    /// As [`Illumination::flux`] were the point in the middle of the beam, in the
+    /// direction that light has at the point itself.
+    pub flux: DVec3,
+    /// 1/e² radius w at this distance, mm.
+    pub radius: f64,
+    /// As in [`Illumination`].
+    pub aperture_point: DVec3,
+}
+
+impl Section {
+    /// Irradiance at the square `r2` (mm²) of a distance from axis or sheet, as a
+    /// share of that in the middle: exp(-2r²/w²).
+    pub fn gaussian(&self, r2: f64) -> f64 {
+        (-2.0 * r2 / (self.radius * self.radius)).exp()
+    }
+}
+
 /// Where light is taken to end, in beam radii from the axis or sheet: there the
 /// irradiance is e⁻³² = 1.3e-14 of its maximum, which no exposure short of 1e9
 /// times saturation can show.
@@ -48,9 +68,30 @@ impl Laser {
     /// Light at `p` (laser frame). `None` behind the aperture, further than
     /// [`CUTOFF_RADII`] from the axis or sheet, or outside a uniform fan.
     pub fn at(&self, p: DVec3) -> Option<Illumination> {
+        let section = self.section(p)?;
+        let r2 = self.off_middle_squared(p);
+        let lit = r2 <= (CUTOFF_RADII * section.radius).powi(2);
+        lit.then(|| Illumination {
+            flux: section.flux * section.gaussian(r2),
+            aperture_point: section.aperture_point,
+        })
+    }
+
+    /// The beam around `p` (laser frame). `None` behind the aperture and outside a
+    /// uniform fan.
+    pub fn section(&self, p: DVec3) -> Option<Section> {
         match &self.fan {
             None => self.beam.round(p),
             Some(fan) => fan.sheet(&self.beam, p),
+        }
+    }
+
+    /// Square of the distance of `p` (laser frame) from the axis, or from the sheet
+    /// of a fan, mm².
+    pub fn off_middle_squared(&self, p: DVec3) -> f64 {
+        match &self.fan {
+            None => p.x * p.x + p.y * p.y,
+            Some(_) => p.y * p.y,
         }
     }
 
@@ -77,11 +118,12 @@ impl Laser {
     }
 
     /// Half extents in x and y of a box around the z axis outside which there is
-    /// no light at distances `from` to `to` from the aperture, mm.
-    pub fn reach(&self, from: f64, to: f64) -> DVec2 {
+    /// no light at distances `from` to `to` from the aperture, mm, if it ends at
+    /// `cutoff` beam radii.
+    pub fn reach(&self, from: f64, to: f64, cutoff: f64) -> DVec2 {
         // w(z) is convex: it is greatest at an end.
         let radius = self.beam.radius(from).max(self.beam.radius(to));
-        let y = CUTOFF_RADII * radius;
+        let y = cutoff * radius;
         DVec2::new(if self.fan.is_some() { f64::INFINITY } else { y }, y)
     }
 }

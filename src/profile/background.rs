@@ -41,33 +41,23 @@ fn students_quantile(z: f64, freedom: f64) -> f64 {
     z + first / freedom + second / (freedom * freedom)
 }
 
-/// Background of the column, whose greatest count is `highest`: from the median
-/// and its absolute deviation (×1.4826 for normal noise, and one count for what
-/// rounding hides), what lies further than four deviations off is left out, again
-/// and again until nothing changes. The threshold is [`students_quantile`] of `z`.
-pub(super) fn background(
-    column: &[u16],
-    highest: u16,
-    z: f64,
-    scratch: &mut Vec<u16>,
-) -> Background {
-    scratch.clear();
-    scratch.extend_from_slice(column);
-    let middle = scratch.len() / 2;
-    let median = *scratch.select_nth_unstable(middle).1;
+/// Background of the column: from the median and its absolute deviation (×1.4826
+/// for normal noise, and one count for what rounding hides), what lies further than
+/// four deviations off is left out, again and again until nothing changes. The
+/// threshold is [`students_quantile`] of `z`.
+pub(super) fn background(column: &[u16], z: f64, histogram: &mut Histogram) -> Background {
+    histogram.count(column);
+    let middle = column.len() / 2;
+    let median = histogram.value(middle);
     // Of normal noise that lies two deviations above zero 2.3 % is cut off.
-    let cut = 50 * column.iter().filter(|&&count| count == 0).count() > column.len();
+    let cut = 50 * histogram.at(0) > column.len() as u64;
     let spread = match cut {
         // One deviation above the median; all below may be zeros.
         true => {
-            let upper = &mut scratch[middle..];
-            let place = (0.68 * upper.len() as f64) as usize;
-            (*upper.select_nth_unstable(place).1 - median) as f64
+            let place = (0.68 * (column.len() - middle) as f64) as usize;
+            (histogram.value(middle + place) - median) as f64
         }
-        false => {
-            scratch.iter_mut().for_each(|c| *c = c.abs_diff(median));
-            1.4826 * *scratch.select_nth_unstable(middle).1 as f64
-        }
+        false => 1.4826 * histogram.deviation(median, middle) as f64,
     };
     let (mut mean, mut sigma) = (median as f64, spread + 1.0);
     // A halo about the line would draw the limits outwards without end.
@@ -77,8 +67,8 @@ pub(super) fn background(
     for _ in 0..10 {
         // Casts saturate.
         let low = (mean - 4.0 * sigma).ceil() as u16;
-        let high = ((mean + 4.0 * sigma).floor() as u16).min(highest);
-        let (n, sum, squares) = moments(column, low, high);
+        let high = (mean + 4.0 * sigma).floor() as u16;
+        let (n, sum, squares) = histogram.moments(low, high);
         if n == kept || n == 0 {
             break;
         }
@@ -89,9 +79,11 @@ pub(super) fn background(
     }
     let mut freedom = column.len() as f64;
     if cut && sigma > 0.0 {
-        sigma = sigma.max(upper_deviation(column, median, sigma)).min(limit);
+        let upper = upper_deviation(histogram, median, sigma);
+        sigma = sigma.max(upper).min(limit);
         freedom /= ONE_SIDED_VARIANCE;
     }
+    histogram.clear(column);
     let noise = sigma.max(ROUNDING);
     Background {
         mean,
@@ -107,41 +99,104 @@ const ONE_SIDED_VARIANCE: f64 = 2.5;
 /// Standard deviation by the counts above the median alone, half of all: where the
 /// black level lies in the noise, the sensor cuts the lower half off, and the
 /// deviation from the mean, `sigma`, is too small by up to 1.7.
-fn upper_deviation(column: &[u16], median: u16, mut sigma: f64) -> f64 {
+fn upper_deviation(histogram: &Histogram, median: u16, mut sigma: f64) -> f64 {
     sigma *= 1.7;
     for _ in 0..3 {
         let high = (median as f64 + 4.0 * sigma) as u16;
         let (mut n, mut squares) = (0u64, 0u64);
-        for &count in column.iter().filter(|&&count| count <= high) {
-            n += 1;
-            squares += (count.saturating_sub(median) as u64).pow(2);
+        for (value, times) in histogram.range(0, high) {
+            n += times;
+            squares += times * value.saturating_sub(median as u64).pow(2);
         }
         sigma = (2.0 * squares as f64 / n as f64).sqrt();
     }
     sigma
 }
 
-/// Number, sum and sum of squares of the counts from `low` to `high`.
-fn moments(column: &[u16], low: u16, high: u16) -> (u64, u64, u64) {
-    // Runs so short that 32 bits hold their sums: then and without branches the
-    // loop is vectorised.
-    let largest = (high as u32).max(1);
-    let run = (u32::MAX / (largest * largest)).min(256) as usize;
-    let (mut n, mut sum, mut squares) = (0u64, 0u64, 0u64);
-    for run in column.chunks(run) {
-        let mut of_run = (0u32, 0u32, 0u32);
-        for &count in run {
-            let inside = (low <= count) & (count <= high);
-            let count = if inside { count as u32 } else { 0 };
-            of_run.0 += inside as u32;
-            of_run.1 += count;
-            of_run.2 += count * count;
+/// How often each count stands in a column. A column holds a thousand pixels and,
+/// but for its line, a dozen values: what is asked of it is cheaper asked of these.
+pub(super) struct Histogram {
+    /// Of pixels with even and with odd number: neighbours are often alike, and an
+    /// increment waits for the one before it in the same place.
+    times: Vec<[u32; 2]>,
+    highest: usize,
+}
+
+impl Histogram {
+    /// For counts up to `highest`.
+    pub fn new(highest: u16) -> Histogram {
+        Histogram {
+            times: vec![[0; 2]; highest as usize + 1],
+            highest: 0,
         }
-        n += of_run.0 as u64;
-        sum += of_run.1 as u64;
-        squares += of_run.2 as u64;
     }
-    (n, sum, squares)
+
+    /// The histogram must be empty.
+    fn count(&mut self, column: &[u16]) {
+        let mut pairs = column.chunks_exact(2);
+        for pair in &mut pairs {
+            self.times[pair[0] as usize][0] += 1;
+            self.times[pair[1] as usize][1] += 1;
+        }
+        for &count in pairs.remainder() {
+            self.times[count as usize][0] += 1;
+        }
+        self.highest = column.iter().copied().max().unwrap_or(0) as usize;
+    }
+
+    /// Empties it of the counts of a column, where most places are empty.
+    fn clear(&mut self, column: &[u16]) {
+        for &count in column {
+            self.times[count as usize] = [0; 2];
+        }
+    }
+
+    fn at(&self, value: usize) -> u64 {
+        let [even, odd] = self.times[value];
+        even as u64 + odd as u64
+    }
+
+    /// Values from `low` to `high` and how often each is there.
+    fn range(&self, low: u16, high: u16) -> impl Iterator<Item = (u64, u64)> + '_ {
+        let high = self.highest.min(high as usize);
+        (low as usize..=high).map(|value| (value as u64, self.at(value)))
+    }
+
+    /// The count at a place of the sorted column.
+    fn value(&self, place: usize) -> u16 {
+        let mut below = 0;
+        let passes = |value: &usize| {
+            below += self.at(*value);
+            below > place as u64
+        };
+        (0..=self.highest).find(passes).unwrap_or(self.highest) as u16
+    }
+
+    /// The distance from `median` at a place of the column sorted by it.
+    fn deviation(&self, median: u16, place: usize) -> u16 {
+        let median = median as usize;
+        let mut within = 0;
+        let passes = |distance: &usize| {
+            if let Some(below) = median.checked_sub(*distance) {
+                within += self.at(below);
+            }
+            if *distance > 0 && median + distance <= self.highest {
+                within += self.at(median + distance);
+            }
+            within > place as u64
+        };
+        let furthest = median.max(self.highest);
+        (0..=furthest).find(passes).unwrap_or(furthest) as u16
+    }
+
+    /// Number, sum and sum of squares of the counts from `low` to `high`.
+    fn moments(&self, low: u16, high: u16) -> (u64, u64, u64) {
+        let add = |(n, sum, squares), (value, times)| {
+            let all = value * times;
+            (n + times, sum + all, squares + value * all)
+        };
+        self.range(low, high).fold((0, 0, 0), add)
+    }
 }
 
 #[cfg(test)]
@@ -178,12 +233,43 @@ mod tests {
                 let counts: Vec<u16> = (0..500)
                     .map(|_| (black + normal.sample(&mut stream)).max(0.0).round() as u16)
                     .collect();
-                let highest = *counts.iter().max().unwrap();
-                sum += background(&counts, highest, 6.0, &mut Vec::new()).noise / 100.0;
+                sum += background(&counts, 6.0, &mut Histogram::new(200)).noise / 100.0;
             }
             let truth = (9.0f64 + 1.0 / 12.0).sqrt();
             let bound = bias + 5.0 * (2.5f64 / (2.0 * 50_000.0)).sqrt();
             assert!((sum / truth - 1.0).abs() < bound, "{black}: {sum}");
         }
+    }
+
+    /// What a histogram says against the sorted column, random columns of few and of
+    /// many values, of even and odd length.
+    #[test]
+    fn a_histogram_answers_as_the_sorted_column_does() {
+        let key = Key::new(2, Purpose::SensorNoise);
+        let mut histogram = Histogram::new(999);
+        for (i, most) in [1.0, 3.0, 40.0, 1000.0].into_iter().enumerate() {
+            for length in [1, 2, 101, 256] {
+                let value = |j: u64| (key.with(i as u64).uniform(j) * most) as u16;
+                let column: Vec<u16> = (0..length).map(value).collect();
+                histogram.count(&column);
+                let mut sorted = column.clone();
+                sorted.sort_unstable();
+                let median = sorted[sorted.len() / 2];
+                let mut distances: Vec<u16> = column.iter().map(|c| c.abs_diff(median)).collect();
+                distances.sort_unstable();
+                for place in [0, sorted.len() / 2, sorted.len() - 1] {
+                    assert_eq!(histogram.value(place), sorted[place]);
+                    assert_eq!(histogram.deviation(median, place), distances[place]);
+                }
+                let (low, high) = (median / 2, median.saturating_add(7));
+                let inside = column.iter().filter(|c| (low..=high).contains(c));
+                let inside: Vec<u64> = inside.map(|&c| c as u64).collect();
+                let squares = inside.iter().map(|c| c * c).sum::<u64>();
+                let sums = (inside.len() as u64, inside.iter().sum(), squares);
+                assert_eq!(histogram.moments(low, high), sums);
+                histogram.clear(&column);
+            }
+        }
+        assert!(histogram.times.iter().all(|times| *times == [0; 2]));
     }
 }

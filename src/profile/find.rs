@@ -1,6 +1,6 @@
 //! The lines of a frame, column by column, and what is doubtful about them.
 
-use super::background::{Background, background, detection_sigmas};
+use super::background::{Background, Histogram, background, detection_sigmas};
 use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
 use super::{Choice, Flags, Peak, PeakSettings};
@@ -43,10 +43,11 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
     let rows = counts.len() / columns;
     let z = detection_sigmas(counts.len());
     let by_column = transposed(counts, columns);
-    let mut scratch = Vec::with_capacity(rows);
+    let highest = counts.iter().copied().max().unwrap_or(0);
+    let mut histogram = Histogram::new(highest);
     let found: Vec<Option<Column>> = by_column
         .chunks_exact(rows)
-        .map(|column| detect(column, z, &mut scratch))
+        .map(|column| detect(column, z, &mut histogram))
         .collect();
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
@@ -113,6 +114,9 @@ fn fit_windows(
     }
 }
 
+/// Rows that are turned together: of one column they are stored at once.
+const TILE_ROWS: usize = 8;
+
 /// The image column by column.
 fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     let rows = counts.len() / columns;
@@ -120,9 +124,17 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     for first in (0..columns).step_by(STRIP) {
         let width = STRIP.min(columns - first);
         let strip = &mut by_column[first * rows..];
-        for (i, row) in counts.chunks_exact(columns).enumerate() {
-            for (j, &count) in row[first..first + width].iter().enumerate() {
-                strip[j * rows + i] = count;
+        for (i, band) in counts.chunks(columns * TILE_ROWS).enumerate() {
+            let mut tile = [[0; TILE_ROWS]; STRIP];
+            let height = band.len() / columns;
+            for (k, row) in band.chunks_exact(columns).enumerate() {
+                for (turned, &count) in tile.iter_mut().zip(&row[first..first + width]) {
+                    turned[k] = count;
+                }
+            }
+            for (j, turned) in tile[..width].iter().enumerate() {
+                let to = &mut strip[j * rows + i * TILE_ROWS..][..height];
+                to.copy_from_slice(&turned[..height]);
             }
         }
     }
@@ -130,9 +142,9 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
 }
 
 /// The highest line of a column, if it is one.
-fn detect(column: &[u16], z: f64, scratch: &mut Vec<u16>) -> Option<Column> {
+fn detect(column: &[u16], z: f64, histogram: &mut Histogram) -> Option<Column> {
     let &highest = column.iter().max()?;
-    let background = background(column, highest, z, scratch);
+    let background = background(column, z, histogram);
     let height = highest as f64 - background.mean;
     if height < background.threshold {
         return None;

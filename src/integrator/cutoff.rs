@@ -1,0 +1,39 @@
+//! Where light is taken to end.
+
+use crate::camera::Camera;
+use crate::laser::{CUTOFF_RADII, Laser};
+use crate::math::{Aabb, DVec2};
+use std::f64::consts::PI;
+
+/// What light beyond the cutoff may add to any pixel, electrons or counts,
+/// whichever is less light: no noise is as small.
+const UNSEEN: f64 = 1e-3;
+/// Speckle is brighter than this many times its mean in 2e-9 of all places.
+const BRIGHTEST_SPECKLE: f64 = 20.0;
+
+/// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from
+/// an upper bound of the brightest pixel: white paint across the beam where the part
+/// is nearest to the laser, the waist lying there, in speckle of
+/// [`BRIGHTEST_SPECKLE`].
+pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, part_in_laser: &[Aabb]) -> f64 {
+    let beam = &laser.beam;
+    let nearest = part_in_laser.iter().map(|part| part.min.z.max(0.0));
+    let nearest = nearest.fold(f64::INFINITY, f64::min);
+    let irradiance = beam.power_mw * 2.0 / PI / beam.waist_radius
+        * match laser.fan {
+            None => 1.0 / beam.waist_radius,
+            // √(2/π) = 2/π·√(π/2).
+            Some(fan) => (PI / 2.0).sqrt() * fan.power_per_radian(0.0) / nearest,
+        };
+    let size = camera.sensor.resolution.as_dvec2();
+    let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
+    let behind = corners.map(|corner| camera.sensor_point(corner).z);
+    let behind = behind.into_iter().fold(f64::INFINITY, f64::min);
+    let solid_angle = camera.lens.pupil_area() / (behind * behind);
+    let electrons =
+        irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
+    let unseen = UNSEEN / camera.sensor.gain_dn_per_e.max(1.0);
+    let exponent = (electrons * BRIGHTEST_SPECKLE / unseen).ln();
+    // Infinite if the laser is within the part's box.
+    (exponent / 2.0).max(1.0).sqrt().min(CUTOFF_RADII)
+}

@@ -1,0 +1,223 @@
+//! What single rays of the camera see: nothing, surface, lit surface.
+
+use super::View;
+use super::sight::Sight;
+use crate::accel::{Hit, Ray, WIDTH};
+use crate::laser::Section;
+use crate::math::{DVec2, DVec3, Rigid};
+
+/// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
+/// ray, for its samples to be taken from that plane: so much the line would seem
+/// moved a pixel off, and a ninth of it within the pixel if the surface is curved.
+const PLANE_TOLERANCE: f64 = 0.01;
+/// Cosine of the greatest angle between their normals, 3°: across an edge between
+/// facets the light received changes by 5 % where it falls at 45°.
+const NORMAL_TOLERANCE: f64 = 0.9986;
+
+/// What a ray sees.
+#[derive(Clone, Copy)]
+pub(super) enum Center {
+    Nothing,
+    /// Further from the middle of the beam than light is taken to reach.
+    Dark(Plane),
+    /// Facing away from the laser, hidden from it or outside its fan.
+    Unlit(Plane),
+    Lit(Light, Plane),
+}
+
+/// The surface that a ray meets, in the laser's frame.
+#[derive(Clone, Copy)]
+pub(super) struct Plane {
+    point: DVec3,
+    normal: DVec3,
+    /// Greatest distance (mm) from it of neighbours that count as on it.
+    tolerance: f64,
+}
+
+/// Laser light that a ray sees.
+#[derive(Clone, Copy)]
+pub(super) struct Light {
+    /// Irradiance on the sensor (mW/mm²) were this the middle of the beam.
+    pub irradiance: f64,
+    /// What the beam's profile leaves of it.
+    pub share: f64,
+    /// Of what is seen, along the camera's axis, mm.
+    pub depth: f64,
+    section: Section,
+}
+
+impl Center {
+    fn plane(&self) -> Option<(&Plane, Option<bool>)> {
+        match self {
+            Center::Nothing => None,
+            Center::Dark(plane) => Some((plane, None)),
+            Center::Unlit(plane) => Some((plane, Some(false))),
+            Center::Lit(_, plane) => Some((plane, Some(true))),
+        }
+    }
+
+    /// Whether another ray close by sees the same plane, and where light can reach
+    /// both, both lit or neither.
+    #[inline]
+    pub fn is_like(&self, other: &Center) -> bool {
+        match (self.plane(), other.plane()) {
+            (None, None) => true,
+            (Some((here, lit)), Some((there, other_lit))) => {
+                let beside = here.normal.dot(there.point - here.point).abs();
+                let same_light = lit.is_none() || other_lit.is_none() || lit == other_lit;
+                // Written so that NaN is not alike.
+                same_light
+                    && beside <= here.tolerance
+                    && here.normal.dot(there.normal) >= NORMAL_TOLERANCE
+            }
+            _ => false,
+        }
+    }
+}
+
+impl Light {
+    /// What the beam's profile leaves of the light at the point of the plane that is
+    /// seen along `towards` (laser's frame, any length), of that in the middle.
+    #[inline(always)]
+    pub fn share_at(&self, plane: &Plane, towards: DVec3, rays: &LitRays) -> f64 {
+        let eye = rays.from_laser.eye;
+        let way = plane.normal.dot(plane.point - eye) / plane.normal.dot(towards);
+        if !(way > 0.0 && way < f64::MAX) {
+            return 0.0;
+        }
+        let off_middle = rays.view.laser.off_middle_squared(eye + towards * way);
+        self.section.gaussian(off_middle)
+    }
+}
+
+/// A view's rays.
+pub(super) struct LitRays<'a> {
+    pub view: &'a View<'a>,
+    pub sight: &'a Sight,
+    /// The same in the laser's frame.
+    pub from_laser: Sight,
+    laser_from_part: Rigid,
+    /// Normal of the laser's sheet.
+    across: DVec3,
+    /// Hits higher than this over the sheet (mm) are as if nothing were hit: dark,
+    /// and their neighbours too but where a pixel is wider than the beam.
+    far: f64,
+}
+
+impl<'a> LitRays<'a> {
+    pub fn new(view: &'a View<'a>, sight: &'a Sight) -> LitRays<'a> {
+        let laser_from_part = view.part_from_laser.inverse();
+        let laser_from_camera = laser_from_part * view.part_from_camera;
+        let corners = view.accel.bounds().corners();
+        let corners = corners.map(|corner| laser_from_part.point(corner));
+        let nearest = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+        let furthest = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
+        let cutoff = view.cutoff_radii;
+        let widest = view.laser.reach(nearest.max(0.0), furthest, cutoff);
+        LitRays {
+            view,
+            sight,
+            from_laser: Sight::new(view.camera, &laser_from_camera),
+            laser_from_part,
+            across: view.part_from_laser.rotation.y_axis,
+            far: 2.0 * widest.y + view.accel.refinement(),
+        }
+    }
+
+    /// What the centres of a block of pixels see, that starts at column `first`.
+    pub fn centers(&self, row: usize, first: usize, centers: &mut [Center]) {
+        let count = WIDTH.min(centers.len());
+        let mut places = [DVec2::ZERO; WIDTH];
+        let mut directions = [DVec3::Z; WIDTH];
+        let mut bend = DVec2::ZERO;
+        for i in 0..count {
+            places[i] = DVec2::new((first + i) as f64 + 0.5, row as f64 + 0.5);
+            let to_sensor = self.sight.to_sensor(places[i]);
+            directions[i] = self.sight.towards(to_sensor, &mut bend).normalize();
+        }
+        self.look(&places[..count], &directions[..count], centers);
+    }
+
+    /// What rays in these directions (unit) see, up to 16, that start at the eye
+    /// from these places on the sensor.
+    pub fn look(&self, places: &[DVec2], directions: &[DVec3], centers: &mut [Center]) {
+        let mut rays = [Ray {
+            origin: self.sight.eye,
+            direction: DVec3::Z,
+            t_max: f64::INFINITY,
+        }; WIDTH];
+        for (ray, &direction) in rays.iter_mut().zip(directions) {
+            ray.direction = direction;
+        }
+        let count = directions.len();
+        let near_sheet = |i: usize, t: f64| {
+            let climb = self.across.dot(directions[i]);
+            (self.from_laser.eye.y + t * climb).abs() <= self.far
+        };
+        let hits = self.view.accel.closest(&rays[..count], near_sheet);
+        let mut shadow_rays = rays;
+        let mut lit = [0; WIDTH];
+        let mut seen = 0;
+        for i in 0..count {
+            centers[i] = match &hits[i] {
+                None => Center::Nothing,
+                Some(hit) => {
+                    let (center, shadow_ray) = self.seen(hit, directions[i], places[i]);
+                    if let Some(ray) = shadow_ray {
+                        (lit[seen], shadow_rays[seen]) = (i, ray);
+                        seen += 1;
+                    }
+                    center
+                }
+            };
+        }
+        if seen == 0 {
+            return;
+        }
+        let blocked = self.view.accel.occluded(&shadow_rays[..seen]);
+        for (bit, &i) in lit[..seen].iter().enumerate() {
+            if let (1, Center::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
+                centers[i] = Center::Unlit(plane);
+            }
+        }
+    }
+
+    /// A hit, and if it may be lit the ray on which the light may be blocked.
+    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Center, Option<Ray>) {
+        let laser = self.view.laser;
+        let point = self.laser_from_part.point(hit.point);
+        let section = laser.section(point);
+        let radius = section.map_or(laser.beam.waist_radius, |section| section.radius);
+        let normal = self.laser_from_part.vector(hit.normal);
+        let plane = Plane {
+            point,
+            normal,
+            tolerance: PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs(),
+        };
+        let Some(section) = section else {
+            return (Center::Unlit(plane), None);
+        };
+        let r2 = laser.off_middle_squared(point);
+        if r2 > (self.view.cutoff_radii * section.radius).powi(2) {
+            return (Center::Dark(plane), None);
+        }
+        let received = -section.flux.dot(normal);
+        let start = hit.point + hit.normal * self.view.accel.resolution();
+        let aperture = self.view.part_from_laser.point(section.aperture_point);
+        // At grazing light the local direction may come from the front and the
+        // chord from behind: then the surface itself is in the way.
+        let shadow_ray = Ray::between(start, aperture)
+            .filter(|ray| received > 0.0 && ray.direction.dot(hit.normal) > 0.0);
+        let Some(shadow_ray) = shadow_ray else {
+            return (Center::Unlit(plane), None);
+        };
+        let radiance = self.view.surface.radiance(received);
+        let light = Light {
+            irradiance: radiance * self.sight.solid_angle(place),
+            share: section.gaussian(r2),
+            depth: self.sight.axis.dot(hit.point - self.sight.eye),
+            section,
+        };
+        (Center::Lit(light, plane), Some(shadow_ray))
+    }
+}
