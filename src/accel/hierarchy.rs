@@ -107,7 +107,7 @@ impl PartBox {
 enum Tree<'m> {
     #[cfg(feature = "embree")]
     Embree(embree::Tree<'m>),
-    Rust(rust_bvh::Tree),
+    Rust(rust_bvh::Tree<'m>),
 }
 
 /// Bounding-volume hierarchy over one mesh.
@@ -198,7 +198,7 @@ impl<'m> Accel<'m> {
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => tree.closest(rays, &self.part, found),
-            Tree::Rust(tree) => tree.closest(rays, self.mesh, &self.part, found),
+            Tree::Rust(tree) => tree.closest(rays, &self.part, found),
         }
         hits
     }
@@ -208,7 +208,7 @@ impl<'m> Accel<'m> {
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => tree.occluded(rays, &self.part),
-            Tree::Rust(tree) => tree.occluded(rays, self.mesh, &self.part),
+            Tree::Rust(tree) => tree.occluded(rays, &self.part),
         }
     }
 
@@ -231,7 +231,7 @@ impl<'m> Accel<'m> {
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => tree.nearest(p, &self.part, best),
-            Tree::Rust(tree) => tree.nearest(p, self.mesh, &self.part, best),
+            Tree::Rust(tree) => tree.nearest(p, &self.part, best),
         }
     }
 }

@@ -22,7 +22,8 @@ use smallvec::SmallVec;
 /// Version of the crate; a test holds it against Cargo.lock.
 pub const OBVHS: &str = "0.4.0";
 
-pub struct Tree {
+pub struct Tree<'m> {
+    mesh: &'m Mesh,
     bvh: Bvh2,
 }
 
@@ -116,8 +117,8 @@ impl Sheared {
 /// Bytes a triangle takes while the tree is built.
 pub(super) const BUILD: u64 = 200;
 
-impl Tree {
-    pub(super) fn build(mesh: &Mesh, part: &PartBox) -> Tree {
+impl<'m> Tree<'m> {
+    pub(super) fn build(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
         // f32 meets the planes of a box to within 15 roundings (2⁻²⁴) of the half
         // size: one each of the plane and of the origin, two each, since they are of
         // the whole size, of difference, reciprocal and product, and seven for the
@@ -144,7 +145,7 @@ impl Tree {
         // A stack that is too short would drop nodes without a word.
         bvh.max_depth = (bvh.depth(0) + 1).max(DEFAULT_MAX_STACK_DEPTH);
         bvh.nodes.shrink_to_fit();
-        Tree { bvh }
+        Tree { mesh, bvh }
     }
 
     /// Calls `found` for each ray that meets the mesh, with its number, the triangle
@@ -152,7 +153,6 @@ impl Tree {
     pub(super) fn closest(
         &self,
         rays: &[Ray],
-        mesh: &Mesh,
         part: &PartBox,
         mut found: impl FnMut(usize, u32, f64),
     ) {
@@ -164,7 +164,7 @@ impl Tree {
             let mut best = (f64::INFINITY, u32::MAX);
             let test = |_: &obvhs::ray::Ray, place: usize| {
                 let triangle = self.bvh.primitive_indices[place];
-                match sheared.distance(mesh.triangle(triangle as usize)) {
+                match sheared.distance(self.mesh.triangle(triangle as usize)) {
                     Some(t) if (t, triangle) < best => {
                         best = (t, triangle);
                         walk.reach(t, part)
@@ -180,7 +180,7 @@ impl Tree {
     }
 
     /// Whether each ray meets anything, as bits.
-    pub(super) fn occluded(&self, rays: &[Ray], mesh: &Mesh, part: &PartBox) -> u16 {
+    pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
         let blocked = |ray: &Ray| {
             let Some(walk) = Walk::new(ray, part) else {
                 return false;
@@ -188,7 +188,7 @@ impl Tree {
             let sheared = Sheared::new(ray);
             let test = |_: &obvhs::ray::Ray, place: usize| {
                 let triangle = self.bvh.primitive_indices[place];
-                match sheared.distance(mesh.triangle(triangle as usize)) {
+                match sheared.distance(self.mesh.triangle(triangle as usize)) {
                     // Anything within reach ends the walk.
                     Some(_) => 0.0,
                     None => f32::INFINITY,
@@ -202,13 +202,7 @@ impl Tree {
 
     /// The point of the mesh nearest to `p`, which `best` is at most as near; of
     /// several, that of the first triangle.
-    pub(super) fn nearest(
-        &self,
-        p: DVec3,
-        mesh: &Mesh,
-        part: &PartBox,
-        mut best: Nearest,
-    ) -> Nearest {
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, mut best: Nearest) -> Nearest {
         let nodes = &self.bvh.nodes;
         let seen = p - part.center;
         let distance = |node: &Bvh2Node| {
@@ -234,7 +228,7 @@ impl Tree {
             }
             for place in first..first + node.prim_count {
                 let triangle = self.bvh.primitive_indices[place as usize];
-                let point = nearest_on_triangle(mesh.triangle(triangle as usize), p);
+                let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
                 let distance = point.distance(p);
                 if (distance, triangle) < (best.distance, best.triangle) {
                     best = Nearest {

@@ -11,9 +11,9 @@ use glam::UVec2;
 const COLUMNS: u32 = 800;
 const ROWS: u32 = 600;
 
-/// Blocks of the footprint on `mesh`, whose top is about z = 0: laser straight
+/// The footprint on `mesh`, whose top is about z = 0: laser straight
 /// above with its line along x, camera 30° before it, 0.05 mm a pixel.
-fn count(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> usize {
+fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
     let accel = crate::accel::Accel::build(mesh, 1).unwrap();
     let camera = Camera {
         lens: Lens {
@@ -60,12 +60,17 @@ fn count(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> usize {
         cutoff_radii: crate::laser::CUTOFF_RADII,
     };
     let sight = Sight::new(&camera, &view.part_from_camera);
-    footprint(&view, &sight, &Clusters::new(mesh)).count()
+    footprint(&view, &sight, &Clusters::new(mesh))
 }
 
+/// Pixels by which a footprint on the plane may be longer than what is lit, along an
+/// axis: half of one at each end, on average; and at each end what light may lie
+/// beside the triangle it belongs to, once in the beam and once on the sensor, each
+/// 2⁻¹² of the part's half size, 0.0122 mm or 0.244 px.
+const MORE: f64 = 2.0 + 4.0 * 0.244;
+
 /// Rows that see light to 4 radii on a plane across the beam: 2·4·w·cos 30° at
-/// 0.05 mm a pixel. One row more at each edge is allowed for rounding, the
-/// margin and the width's growth off the axis, under 2 %.
+/// 0.05 mm a pixel, and as the width grows off the axis, under 2 %.
 #[test]
 fn the_footprint_of_a_plane_is_the_line() {
     let fan = Some(Fan {
@@ -73,39 +78,44 @@ fn the_footprint_of_a_plane_is_the_line() {
         profile: FanProfile::Uniform,
     });
     let plane = shapes::plane(DVec2::splat(100.0)).unwrap();
-    // The same plane in 20 000 triangles, 14 px wide, and in 2 million, 1.4 px.
-    let meshes = [plane, grid(100), grid(1000)];
-    for waist in [0.05, 0.2] {
-        let rows = 8.0 * waist * 0.75f64.sqrt() / 0.05;
-        for mesh in &meshes {
-            let found = count(mesh, waist, fan) as f64 / (COLUMNS as f64 / 16.0);
-            assert!(found >= rows.floor(), "{found} of {rows}");
-            // A triangle's width more where triangles are small and taken whole.
-            let most = if mesh.triangles.len() > 1_000_000 {
-                5.0
-            } else {
-                2.5
-            };
-            assert!(found <= 1.02 * rows + most, "{found} of {rows}");
+    // The same plane in 20 000 triangles, 20 px wide, and in 2 million, 2 px: those
+    // are taken whole, in groups.
+    for (mesh, whole) in [(plane, 0.0), (grid(100), 0.0), (grid(1000), 2.0)] {
+        for waist in [0.05, 0.2] {
+            let rows = 8.0 * waist * 0.75f64.sqrt() / 0.05;
+            let found = seen(&mesh, waist, fan).count() as f64 / COLUMNS as f64;
+            assert!(found >= rows, "{found} of {rows}");
+            assert!(
+                found <= 1.02 * rows + MORE + 2.0 * whole,
+                "{found} of {rows}"
+            );
         }
     }
 }
 
-/// A fan of 0.1 rad lights 20 mm of the 40 mm in view; a point 0.4 mm, which is
-/// eight columns: one block or two a row.
+/// A fan of 0.1 rad lights 20.02 mm of the 40 mm in view, a point 8 by 6.9 pixels.
 #[test]
 fn a_narrow_fan_and_a_point_are_narrow_on_the_sensor() {
     let plane = shapes::plane(DVec2::splat(100.0)).unwrap();
-    let fan = |angle| {
-        Some(Fan {
-            angle,
-            profile: FanProfile::Uniform,
-        })
+    let fan = Fan {
+        angle: 0.1,
+        profile: FanProfile::Uniform,
     };
-    let (wide, narrow) = (count(&plane, 0.05, fan(0.5)), count(&plane, 0.05, fan(0.1)));
-    let share = narrow as f64 / wide as f64;
-    assert!((0.5..0.56).contains(&share), "{share}");
-    assert!((6..=20).contains(&count(&plane, 0.05, None)));
+    let narrow = seen(&plane, 0.05, Some(fan));
+    let rows = 0..ROWS as usize;
+    let mut columns: Vec<usize> = rows.flat_map(|row| narrow.of(row)).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    let lit = 2.0 * 200.0 * 0.05f64.tan() / 0.05;
+    let found = columns.len() as f64;
+    assert!((lit..=lit + MORE).contains(&found), "{found} of {lit}");
+    let point = seen(&plane, 0.05, None).count() as f64;
+    let lit = DVec2::new(8.0, 8.0 * 0.75f64.sqrt());
+    let most = lit * 1.02 + MORE;
+    assert!(
+        (lit.x * lit.y..=most.x * most.y).contains(&point),
+        "{point}"
+    );
 }
 
 /// 100 mm square at z = 0 in n × n squares.
