@@ -10,13 +10,13 @@
 
 use super::fixed::Fixed;
 use super::lookup::{Coherence, Layer};
-use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier};
+use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
 use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
-use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,8 +39,8 @@ pub struct PupilPlace {
 /// nothing in common: their sum repeats, at 1/n of its variance, at the distances
 /// between these.
 ///
-/// One of 1024² takes 6 ms on one core and 8 MB, less for the rows alone that a
-/// frame reads.
+/// One of 1024² takes 4 ms on one core and 8 MB, and 1 ms and 2 MB of it before any row
+/// is read.
 pub struct FrameFields {
     spec: PatternSpec,
     plane: PhasorPlane,
@@ -48,36 +48,23 @@ pub struct FrameFields {
     sharpening: Vec<f64>,
     lost: Vec2,
     layers: Vec<Layer>,
+    spare_lines: Spare,
+    spare_groups: Spare,
 }
 
-/// Rows of a field that will be read.
-pub struct Rows {
-    /// By groups of [`ROWS`].
-    needed: Vec<bool>,
-}
+/// Memory of fields that are gone: new memory is slow, since the system clears it
+/// page by page.
+#[derive(Default)]
+struct Spare(Mutex<Vec<Vec<Complex32>>>);
 
-impl Rows {
-    pub fn none(spec: &PatternSpec) -> Rows {
-        Rows {
-            needed: vec![false; spec.size / ROWS],
-        }
+impl Spare {
+    fn all(&self) -> MutexGuard<'_, Vec<Vec<Complex32>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What readings at t from `a` to `b` (texels) take.
-    pub fn insert(&mut self, a: f64, b: f64) {
-        let groups = self.needed.len();
-        // One texel for what lies between, one for the tap below.
-        let first = ((a.min(b) - 1.0) / ROWS as f64).floor();
-        let last = ((a.max(b) + 2.0) / ROWS as f64).floor();
-        let count = (last - first).min(groups as f64 - 1.0) as usize;
-        let first = first.rem_euclid(groups as f64) as usize;
-        for k in first..=first + count {
-            self.needed[k % groups] = true;
-        }
-    }
-
-    fn insert_all(&mut self) {
-        self.needed.fill(true);
+    /// Empty, if new, and else with whatever it held.
+    fn take(&self) -> Vec<Complex32> {
+        self.all().pop().unwrap_or_default()
     }
 }
 
@@ -96,6 +83,8 @@ impl FrameFields {
             plane,
             lost: Vec2::new((2.0 * (1.0 - column)) as f32, (2.0 * (1.0 - row)) as f32),
             layers: coherence.layers(spec),
+            spare_lines: Spare::default(),
+            spare_groups: Spare::default(),
         })
     }
 
@@ -103,26 +92,21 @@ impl FrameFields {
         &self.spec
     }
 
-    /// The field at `place`, made in the given rows at least.
-    pub fn field(&self, place: &PupilPlace, mut rows: Rows) -> FrameField {
-        if self.layers.len() > 1 {
-            rows.insert_all();
-        }
-        self.part(place, &rows, |_| true)
+    /// The field at `place`.
+    pub fn field(&self, place: &PupilPlace) -> FrameField<'_> {
+        self.part(place, |_| true)
     }
 
     /// The field at `place`, to be read where it slips along the pupil's way, whose
     /// direction over the field is `along` (unit vector).
-    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField {
+    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField<'_> {
         let width = self.spec.aperture.extent();
         let way = place.shift.dot(along);
         let first = (way / width - 0.5).floor();
-        let mut rows = Rows::none(&self.spec);
-        rows.insert_all();
         let strips = [first, first + 1.0].map(|strip| {
             let low = strip * width;
             let inside = |q: DVec2| (low..low + width).contains(&q.dot(along));
-            (self.part(place, &rows, inside), low + width / 2.0 - way)
+            (self.part(place, inside), low + width / 2.0 - way)
         });
         let [near, far] = [&strips[0], &strips[1]].map(|(_, middle)| middle * middle);
         SlippingField {
@@ -132,7 +116,7 @@ impl FrameFields {
     }
 
     /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(&self, place: &PupilPlace, rows: &Rows, keep: impl Fn(DVec2) -> bool) -> FrameField {
+    fn part(&self, place: &PupilPlace, keep: impl Fn(DVec2) -> bool) -> FrameField<'_> {
         let width = self.spec.pupil_width();
         let centre = place.shift * width;
         let origin = carrier(centre);
@@ -151,36 +135,13 @@ impl FrameFields {
             factors.collect::<Vec<_>>()
         });
         let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64) / width);
-        let columns = self.plane.columns(centre, [&x, &y], keep);
-        self.transform(&columns, rows)
-    }
-
-    fn transform(&self, columns: &Columns, rows: &Rows) -> FrameField {
-        let size = self.spec.size;
-        let stride = 2 * (size + 1);
-        let mut texels = vec![0.0f32; size * stride];
-        let blocks = texels.par_chunks_exact_mut(ROWS * stride).enumerate();
-        blocks
-            .filter(|(block, _)| rows.needed[*block])
-            .for_each_init(
-                || (vec![Complex32::ZERO; ROWS * size], self.plane.scratch()),
-                |(values, scratch), (block, texels)| {
-                    values.fill(Complex32::ZERO);
-                    self.plane.rows(columns, block, values, scratch);
-                    let rows = values.chunks_exact(size);
-                    for (row, values) in texels.chunks_exact_mut(stride).zip(rows) {
-                        let pairs = row.chunks_exact_mut(2);
-                        for (texel, value) in pairs.zip(values) {
-                            texel.copy_from_slice(&[value.re, value.im]);
-                        }
-                        row.copy_within(..2, 2 * size);
-                    }
-                },
-            );
         FrameField {
-            size_mask: size - 1,
-            stride,
-            texels,
+            fields: self,
+            columns: (self.plane).columns(centre, [&x, &y], keep, self.spare_lines.take()),
+            size_mask: self.spec.size - 1,
+            groups: (0..self.spec.size / ROWS)
+                .map(|_| OnceLock::new())
+                .collect(),
             lost: self.lost,
             first_weight: self.layers[0].weight,
             further_layers: (self.layers[1..].iter())
@@ -190,13 +151,15 @@ impl FrameFields {
     }
 }
 
-/// A field in memory, read by linear interpolation.
-pub struct FrameField {
+/// A field, read by linear interpolation. Its rows are made when they are first
+/// read: a laser's line reads few.
+pub struct FrameField<'a> {
+    fields: &'a FrameFields,
+    columns: Columns,
     size_mask: usize,
-    /// Floats per row: one texel more than the period, so that the right tap never
-    /// wraps.
-    stride: usize,
-    texels: Vec<f32>,
+    /// By groups of [`ROWS`]; of a row one texel more than the period, so that the
+    /// right tap never wraps.
+    groups: Vec<OnceLock<Vec<Complex32>>>,
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
     /// (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance.
     lost: Vec2,
@@ -205,8 +168,17 @@ pub struct FrameField {
     further_layers: Vec<(f32, DVec2)>,
 }
 
-impl FrameField {
-    /// Speckle intensity at (s, t) in texels, mean 1; rows must have been made.
+impl Drop for FrameField<'_> {
+    fn drop(&mut self) {
+        let lines = std::mem::take(&mut self.columns.lines);
+        self.fields.spare_lines.all().push(lines);
+        let groups = self.groups.drain(..).filter_map(OnceLock::into_inner);
+        self.fields.spare_groups.all().extend(groups);
+    }
+}
+
+impl FrameField<'_> {
+    /// Speckle intensity at (s, t) in texels, mean 1.
     pub fn intensity(&self, at: DVec2) -> f32 {
         self.four([at; 4])[0]
     }
@@ -225,6 +197,19 @@ impl FrameField {
         sum.to_array()
     }
 
+    #[cold]
+    fn group(&self, group: usize) -> Vec<Complex32> {
+        let size = self.size_mask + 1;
+        let mut texels = self.fields.spare_groups.take();
+        texels.clear();
+        texels.resize(ROWS * (size + 1), Complex32::ZERO);
+        let mut rows = rows_of(&mut texels, size + 1);
+        let period = rows.each_mut().map(|row| &mut row[..size]);
+        self.fields.plane.rows(&self.columns, group, period);
+        rows.into_iter().for_each(|row| row[size] = row[0]);
+        texels
+    }
+
     /// The blends of four texels each, and what to multiply their powers by for the
     /// variance that blending lost.
     #[inline(always)]
@@ -238,10 +223,11 @@ impl FrameField {
             let (s, t) = places[i];
             let row = t.index(self.size_mask);
             let below = (row + 1) & self.size_mask;
-            let column = 2 * s.index(self.size_mask);
+            let column = s.index(self.size_mask);
             let taps = |row: usize| {
-                let pair = &self.texels[row * self.stride + column..][..4];
-                Vec4::from_slice(pair)
+                let group = self.groups[row / ROWS].get_or_init(|| self.group(row / ROWS));
+                let pair = &group[row % ROWS * (self.size_mask + 2) + column..][..2];
+                Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
             };
             let (top, bottom) = (taps(row), taps(below));
             let sides = top + ft[i] * (bottom - top);
@@ -261,13 +247,13 @@ impl FrameField {
 /// band is centred on its own pupil, c, so its strips turn by 2π·c·(their distance
 /// apart) from frame to frame, and η_k = π·(d/N)·(along·S)·m_k² takes that back.
 /// (It is the difference of chirps |q−c|² and |q−u_k|² over a strip around u_k.)
-pub struct SlippingField {
-    strips: [(FrameField, f64); 2],
+pub struct SlippingField<'a> {
+    strips: [(FrameField<'a>, f64); 2],
     /// η of the second strip less that of the first, for each texel of S.
     turn: DVec2,
 }
 
-impl SlippingField {
+impl SlippingField<'_> {
     /// Speckle intensity at (s, t), mean 1, for a slip S in texels a diameter.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2, slip: DVec2) -> f32 {

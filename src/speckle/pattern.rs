@@ -164,7 +164,7 @@ const PHASE_BITS: u32 = 12;
 /// A pupil transformed along y only, one line per column x of phasors; rows of the
 /// pattern follow each by itself.
 pub(super) struct Columns {
-    lines: Vec<Complex32>,
+    pub lines: Vec<Complex32>,
     /// Makes |A|² mean 1.
     scale: f32,
     phasors: usize,
@@ -266,11 +266,10 @@ impl PhasorPlane {
         let weights: Vec<Complex32> = (-self.reach()..=self.reach())
             .map(|offset| Complex32::new(weight(offset) as f32, 0.0))
             .collect();
-        let columns = self.columns(centre, [&weights, &weights], |_, _| true);
+        let columns = self.columns(centre, [&weights, &weights], |_, _| true, Vec::new());
         let mut field = vec![Complex32::ZERO; size * size];
-        let mut scratch = self.scratch();
         for (block, rows) in field.chunks_exact_mut(ROWS * size).enumerate() {
-            self.rows(&columns, block, rows, &mut scratch);
+            self.rows(&columns, block, rows_of(rows, size));
         }
         Pattern {
             size,
@@ -289,12 +288,14 @@ impl PhasorPlane {
         centre: DVec2,
         factors: [&[Complex32]; 2],
         keep: impl Fn(i64, i64) -> bool,
+        mut lines: Vec<Complex32>,
     ) -> Columns {
         let size = self.spec.size;
         let origin = carrier(centre);
         let reach = self.reach();
         // All other columns are zero and stay so.
-        let mut lines = vec![Complex32::ZERO; factors[0].len() * size];
+        lines.clear();
+        lines.resize(factors[0].len() * size, Complex32::ZERO);
         let (mut phasors, mut power) = (0, 0f32);
         let columns = lines.chunks_exact_mut(size).zip(factors[0]);
         for ((line, fx), dx) in columns.zip(-reach..) {
@@ -320,27 +321,30 @@ impl PhasorPlane {
     }
 
     /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which are zero.
-    pub(super) fn rows(
-        &self,
-        columns: &Columns,
-        block: usize,
-        rows: &mut [Complex32],
-        scratch: &mut [Complex32],
-    ) {
+    pub(super) fn rows(&self, columns: &Columns, block: usize, mut rows: [&mut [Complex32]; ROWS]) {
         let size = self.spec.size;
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
             let column = dx.rem_euclid(size as i64) as usize;
             let values = &line[ROWS * block..][..ROWS];
-            for (row, value) in rows.chunks_exact_mut(size).zip(values) {
+            for (row, value) in rows.iter_mut().zip(values) {
                 row[column] = value * columns.scale;
             }
         }
-        self.fft.process_with_scratch(rows, scratch);
+        let mut scratch = self.scratch();
+        for row in rows {
+            self.fft.process_with_scratch(row, &mut scratch);
+        }
     }
 
-    pub(super) fn scratch(&self) -> Vec<Complex32> {
+    fn scratch(&self) -> Vec<Complex32> {
         vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()]
     }
+}
+
+/// The rows, `stride` values apart, of a block of [`ROWS`].
+pub(super) fn rows_of<T>(block: &mut [T], stride: usize) -> [&mut [T]; ROWS] {
+    let mut rows = block.chunks_exact_mut(stride);
+    std::array::from_fn(|_| rows.next().expect("a block has as many rows"))
 }
 
 /// The texel of the plane taken as zero frequency.
