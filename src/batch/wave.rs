@@ -11,7 +11,7 @@ use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::scene::Scene;
 use crate::speckle::anchor::rotation_vector;
-use crate::speckle::frame_field::{FrameFields, PupilPlace};
+use crate::speckle::frame_field::{FrameFields, PupilPlace, Rows};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{Motion, SurfaceView};
 use crate::speckle::pattern::Aperture;
@@ -194,7 +194,9 @@ fn textures(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
         let fields = FrameFields::new(&spec, Coherence::FULL)?;
         let readings = |shift: f64, defocus: f64| -> Vec<f64> {
             let shift = DVec2::X * shift;
-            let field = fields.field(&PupilPlace { shift, defocus });
+            let mut rows = Rows::none(&spec);
+            rows.insert(0.0, spec.size as f64);
+            let field = fields.field(&PupilPlace { shift, defocus }, rows);
             let place = |i: usize| DVec2::new((i % side) as f64, (i / side) as f64) * 3.97;
             let read = |i: usize| field.intensity(place(i)) as f64;
             (0..side * side).map(read).collect()

@@ -14,9 +14,10 @@ use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
 use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
+use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,8 +40,8 @@ pub struct PupilPlace {
 /// nothing in common: their sum repeats, at 1/n of its variance, at the distances
 /// between these.
 ///
-/// One of 1024² takes 4 ms on one core and 8 MB, and 1 ms and 2 MB of it before any row
-/// is read.
+/// One of 1024² takes 4 ms on one core and 8 MB, less for the rows alone that a
+/// frame reads.
 pub struct FrameFields {
     spec: PatternSpec,
     plane: PhasorPlane,
@@ -48,8 +49,8 @@ pub struct FrameFields {
     sharpening: Vec<f64>,
     lost: Vec2,
     layers: Vec<Layer>,
+    spare: Spare,
     spare_lines: Spare,
-    spare_groups: Spare,
 }
 
 /// Memory of fields that are gone: new memory is slow, since the system clears it
@@ -62,9 +63,40 @@ impl Spare {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Empty, if new, and else with whatever it held.
+    /// Of whatever values.
     fn take(&self) -> Vec<Complex32> {
         self.all().pop().unwrap_or_default()
+    }
+}
+
+/// Rows of a field that will be read.
+pub struct Rows {
+    /// By groups of [`ROWS`].
+    needed: Vec<bool>,
+}
+
+impl Rows {
+    pub fn none(spec: &PatternSpec) -> Rows {
+        Rows {
+            needed: vec![false; spec.size / ROWS],
+        }
+    }
+
+    /// What readings at t from `a` to `b` (texels) take.
+    pub fn insert(&mut self, a: f64, b: f64) {
+        let groups = self.needed.len();
+        // One texel for what lies between, one for the tap below.
+        let first = ((a.min(b) - 1.0) / ROWS as f64).floor();
+        let last = ((a.max(b) + 2.0) / ROWS as f64).floor();
+        let count = (last - first).min(groups as f64 - 1.0) as usize;
+        let first = first.rem_euclid(groups as f64) as usize;
+        for k in first..=first + count {
+            self.needed[k % groups] = true;
+        }
+    }
+
+    fn insert_all(&mut self) {
+        self.needed.fill(true);
     }
 }
 
@@ -83,8 +115,8 @@ impl FrameFields {
             plane,
             lost: Vec2::new((2.0 * (1.0 - column)) as f32, (2.0 * (1.0 - row)) as f32),
             layers: coherence.layers(spec),
+            spare: Spare::default(),
             spare_lines: Spare::default(),
-            spare_groups: Spare::default(),
         })
     }
 
@@ -92,9 +124,12 @@ impl FrameFields {
         &self.spec
     }
 
-    /// The field at `place`.
-    pub fn field(&self, place: &PupilPlace) -> FrameField<'_> {
-        self.part(place, |_| true)
+    /// The field at `place`, made in the given rows at least.
+    pub fn field(&self, place: &PupilPlace, mut rows: Rows) -> FrameField<'_> {
+        if self.layers.len() > 1 {
+            rows.insert_all();
+        }
+        self.part(place, &rows, |_| true)
     }
 
     /// The field at `place`, to be read where it slips along the pupil's way, whose
@@ -103,10 +138,12 @@ impl FrameFields {
         let width = self.spec.aperture.extent();
         let way = place.shift.dot(along);
         let first = (way / width - 0.5).floor();
+        let mut rows = Rows::none(&self.spec);
+        rows.insert_all();
         let strips = [first, first + 1.0].map(|strip| {
             let low = strip * width;
             let inside = |q: DVec2| (low..low + width).contains(&q.dot(along));
-            (self.part(place, inside), low + width / 2.0 - way)
+            (self.part(place, &rows, inside), low + width / 2.0 - way)
         });
         let [near, far] = [&strips[0], &strips[1]].map(|(_, middle)| middle * middle);
         SlippingField {
@@ -116,7 +153,12 @@ impl FrameFields {
     }
 
     /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(&self, place: &PupilPlace, keep: impl Fn(DVec2) -> bool) -> FrameField<'_> {
+    fn part(
+        &self,
+        place: &PupilPlace,
+        rows: &Rows,
+        keep: impl Fn(DVec2) -> bool,
+    ) -> FrameField<'_> {
         let width = self.spec.pupil_width();
         let centre = place.shift * width;
         let origin = carrier(centre);
@@ -135,13 +177,37 @@ impl FrameFields {
             factors.collect::<Vec<_>>()
         });
         let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64) / width);
+        let lines = self.spare_lines.take();
+        let columns = self.plane.columns(centre, [&x, &y], keep, lines);
+        let field = self.transform(&columns, rows);
+        self.spare_lines.all().push(columns.lines);
+        field
+    }
+
+    fn transform(&self, columns: &Columns, rows: &Rows) -> FrameField<'_> {
+        let size = self.spec.size;
+        let stride = size + 1;
+        let mut texels = self.spare.take();
+        texels.resize(size * stride, Complex32::ZERO);
+        let blocks = texels.par_chunks_exact_mut(ROWS * stride).enumerate();
+        blocks
+            .filter(|(block, _)| rows.needed[*block])
+            .for_each_init(
+                || self.plane.scratch(),
+                |scratch, (block, texels)| {
+                    let mut rows = rows_of(texels, stride);
+                    let period = rows.each_mut().map(|row| &mut row[..size]);
+                    self.plane.rows(columns, block, period, scratch);
+                    rows.into_iter().for_each(|row| row[size] = row[0]);
+                },
+            );
         FrameField {
-            fields: self,
-            columns: (self.plane).columns(centre, [&x, &y], keep, self.spare_lines.take()),
-            size_mask: self.spec.size - 1,
-            groups: (0..self.spec.size / ROWS)
-                .map(|_| OnceLock::new())
-                .collect(),
+            size_mask: size - 1,
+            stride,
+            texels,
+            #[cfg(debug_assertions)]
+            made: rows.needed.clone(),
+            spare: &self.spare,
             lost: self.lost,
             first_weight: self.layers[0].weight,
             further_layers: (self.layers[1..].iter())
@@ -151,15 +217,17 @@ impl FrameFields {
     }
 }
 
-/// A field, read by linear interpolation. Its rows are made when they are first
-/// read: a laser's line reads few.
+/// A field in memory, read by linear interpolation.
 pub struct FrameField<'a> {
-    fields: &'a FrameFields,
-    columns: Columns,
     size_mask: usize,
-    /// By groups of [`ROWS`]; of a row one texel more than the period, so that the
-    /// right tap never wraps.
-    groups: Vec<OnceLock<Vec<Complex32>>>,
+    /// Texels per row: one more than the period, so that the right tap never wraps.
+    stride: usize,
+    texels: Vec<Complex32>,
+    /// Of groups of [`ROWS`]; the others hold what an earlier field did.
+    #[cfg(debug_assertions)]
+    made: Vec<bool>,
+    /// Takes the texels back.
+    spare: &'a Spare,
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
     /// (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance.
     lost: Vec2,
@@ -170,70 +238,45 @@ pub struct FrameField<'a> {
 
 impl Drop for FrameField<'_> {
     fn drop(&mut self) {
-        let lines = std::mem::take(&mut self.columns.lines);
-        self.fields.spare_lines.all().push(lines);
-        let groups = self.groups.drain(..).filter_map(OnceLock::into_inner);
-        self.fields.spare_groups.all().extend(groups);
+        self.spare.all().push(std::mem::take(&mut self.texels));
     }
 }
 
 impl FrameField<'_> {
-    /// Speckle intensity at (s, t) in texels, mean 1.
+    /// Speckle intensity at (s, t) in texels, mean 1; rows must have been made.
+    #[inline(always)]
     pub fn intensity(&self, at: DVec2) -> f32 {
-        self.four([at; 4])[0]
-    }
-
-    /// [`Self::intensity`] at four places, which costs little more than at one.
-    #[inline(always)]
-    pub fn four(&self, at: [DVec2; 4]) -> [f32; 4] {
-        let layer = |offset: DVec2| {
-            let (amplitudes, gains) = self.amplitudes(at.map(|at| at + offset));
-            Vec4::from_array(amplitudes.map(|a| a.length_squared())) * gains
+        let layer = |at| {
+            let (amplitude, gain) = self.amplitude(at);
+            amplitude.length_squared() * gain
         };
-        let mut sum = self.first_weight * layer(DVec2::ZERO);
+        let mut sum = self.first_weight * layer(at);
         for &(weight, offset) in &self.further_layers {
-            sum += weight * layer(offset);
+            sum += weight * layer(at + offset);
         }
-        sum.to_array()
+        sum
     }
 
-    #[cold]
-    fn group(&self, group: usize) -> Vec<Complex32> {
-        let size = self.size_mask + 1;
-        let mut texels = self.fields.spare_groups.take();
-        texels.clear();
-        texels.resize(ROWS * (size + 1), Complex32::ZERO);
-        let mut rows = rows_of(&mut texels, size + 1);
-        let period = rows.each_mut().map(|row| &mut row[..size]);
-        self.fields.plane.rows(&self.columns, group, period);
-        rows.into_iter().for_each(|row| row[size] = row[0]);
-        texels
-    }
-
-    /// The blends of four texels each, and what to multiply their powers by for the
-    /// variance that blending lost.
+    /// The blend of four texels, and what to multiply its power by for the variance
+    /// that blending lost.
     #[inline(always)]
-    fn amplitudes(&self, at: [DVec2; 4]) -> ([Vec2; 4], Vec4) {
-        let places = at.map(|at| (Fixed::new(at.x), Fixed::new(at.y)));
-        let fs = Vec4::from_array(places.map(|(s, _)| s.fraction()));
-        let ft = Vec4::from_array(places.map(|(_, t)| t.fraction()));
-        let kept = |f: Vec4, lost: f32| Vec4::ONE - f * (Vec4::ONE - f) * lost;
-        let gains = (kept(fs, self.lost.x) * kept(ft, self.lost.y)).recip();
-        let blend = |i: usize| {
-            let (s, t) = places[i];
-            let row = t.index(self.size_mask);
-            let below = (row + 1) & self.size_mask;
-            let column = s.index(self.size_mask);
-            let taps = |row: usize| {
-                let group = self.groups[row / ROWS].get_or_init(|| self.group(row / ROWS));
-                let pair = &group[row % ROWS * (self.size_mask + 2) + column..][..2];
-                Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
-            };
-            let (top, bottom) = (taps(row), taps(below));
-            let sides = top + ft[i] * (bottom - top);
-            sides.xy() + fs[i] * (sides.zw() - sides.xy())
+    fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
+        let (s, t) = (Fixed::new(at.x), Fixed::new(at.y));
+        let row = t.index(self.size_mask);
+        let below = (row + 1) & self.size_mask;
+        let column = s.index(self.size_mask);
+        let (fs, ft) = (s.fraction(), t.fraction());
+        let gain =
+            1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
+        let taps = |row: usize| {
+            #[cfg(debug_assertions)]
+            assert!(self.made[row / ROWS], "row {row} was not made");
+            let pair = &self.texels[row * self.stride + column..][..2];
+            Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
         };
-        ([0, 1, 2, 3].map(blend), gains)
+        let (top, bottom) = (taps(row), taps(below));
+        let sides = top + ft * (bottom - top);
+        (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
     }
 }
 
@@ -261,12 +304,9 @@ impl SlippingField<'_> {
         let places = [at - slip * *near, at - slip * *far];
         let turn = DVec2::from_angle(self.turn.dot(slip)).as_vec2();
         let layer = |offset: DVec2| {
-            let amplitude = |field: &FrameField, at: DVec2| {
-                let (amplitudes, gains) = field.amplitudes([at + offset; 4]);
-                amplitudes[0] * gains.x.sqrt()
-            };
-            let (a, b) = (amplitude(first, places[0]), amplitude(second, places[1]));
-            (a + b.rotate(turn)).length_squared()
+            let (a, gain_a) = first.amplitude(places[0] + offset);
+            let (b, gain_b) = second.amplitude(places[1] + offset);
+            (a * gain_a.sqrt() + b.rotate(turn) * gain_b.sqrt()).length_squared()
         };
         let mut sum = first.first_weight * layer(DVec2::ZERO);
         for &(weight, offset) in &first.further_layers {

@@ -268,8 +268,9 @@ impl PhasorPlane {
             .collect();
         let columns = self.columns(centre, [&weights, &weights], |_, _| true, Vec::new());
         let mut field = vec![Complex32::ZERO; size * size];
+        let mut scratch = self.scratch();
         for (block, rows) in field.chunks_exact_mut(ROWS * size).enumerate() {
-            self.rows(&columns, block, rows_of(rows, size));
+            self.rows(&columns, block, rows_of(rows, size), &mut scratch);
         }
         Pattern {
             size,
@@ -320,9 +321,16 @@ impl PhasorPlane {
         }
     }
 
-    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which are zero.
-    pub(super) fn rows(&self, columns: &Columns, block: usize, mut rows: [&mut [Complex32]; ROWS]) {
+    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`.
+    pub(super) fn rows(
+        &self,
+        columns: &Columns,
+        block: usize,
+        mut rows: [&mut [Complex32]; ROWS],
+        scratch: &mut [Complex32],
+    ) {
         let size = self.spec.size;
+        rows.iter_mut().for_each(|row| row.fill(Complex32::ZERO));
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
             let column = dx.rem_euclid(size as i64) as usize;
             let values = &line[ROWS * block..][..ROWS];
@@ -330,13 +338,12 @@ impl PhasorPlane {
                 row[column] = value * columns.scale;
             }
         }
-        let mut scratch = self.scratch();
         for row in rows {
-            self.fft.process_with_scratch(row, &mut scratch);
+            self.fft.process_with_scratch(row, scratch);
         }
     }
 
-    fn scratch(&self) -> Vec<Complex32> {
+    pub(super) fn scratch(&self) -> Vec<Complex32> {
         vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()]
     }
 }

@@ -12,6 +12,12 @@ const SPEC: PatternSpec = PatternSpec {
     seed: 11,
 };
 
+fn all_rows(spec: &PatternSpec) -> Rows {
+    let mut rows = Rows::none(spec);
+    rows.insert_all();
+    rows
+}
+
 fn place(x: f64, y: f64, defocus: f64) -> PupilPlace {
     PupilPlace {
         shift: DVec2::new(x, y),
@@ -32,7 +38,7 @@ fn a_field_is_the_sum_over_its_phasors() {
         };
         let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
         let at = place(-7.31, 2.18, 1.7);
-        let field = fields.field(&at);
+        let field = fields.field(&at, all_rows(&spec));
         let centre = at.shift * spec.pupil_width();
         let near = centre.round();
         for texel in [
@@ -65,19 +71,16 @@ fn a_field_is_the_sum_over_its_phasors() {
 /// Field correlation of two frames at no displacement, over the whole period, where
 /// it has no sampling error (Parseval).
 fn gamma(fields: &FrameFields, places: [PupilPlace; 2]) -> f64 {
-    let [a, b] = places.map(|at| fields.field(&at));
+    let [a, b] = places.map(|at| fields.field(&at, all_rows(&SPEC)));
     let [from, to] = places.map(|at| carrier(at.shift * SPEC.pupil_width()));
     let turns = [0, 1].map(|axis| (to[axis] - from[axis]) as f64 * TAU / 1024.0);
     let mut sum = Complex64::ZERO;
-    for row in 0..1024 {
-        let [a, b] = [&a, &b].map(|field| field.group(row / ROWS));
-        for column in 0..1024 {
+    for (i, (a, b)) in a.texels.iter().zip(&b.texels).enumerate() {
+        let (row, column) = (i / 1025, i % 1025);
+        if column < 1024 {
             let phase = turns[0] * column as f64 + turns[1] * row as f64;
-            let texel = |group: &[Complex32]| {
-                let value = group[row % ROWS * 1025 + column];
-                Complex64::new(value.re as f64, value.im as f64)
-            };
-            sum += texel(&a).conj() * texel(&b) * Complex64::from_polar(1.0, phase);
+            let [a, b] = [a, b].map(|v| Complex64::new(v.re as f64, v.im as f64));
+            sum += a.conj() * b * Complex64::from_polar(1.0, phase);
         }
     }
     (sum / (1024.0 * 1024.0)).norm_sqr()
@@ -120,6 +123,29 @@ fn frames_correlate_by_the_overlap_law_and_their_defocus() {
     assert!((found - law).abs() < 0.01, "{found} {law}");
 }
 
+/// The same readings whether or not more rows were made than asked for.
+#[test]
+fn rows_asked_for_are_those_that_are_read() {
+    let fields = FrameFields::new(&SPEC, Coherence::FULL).unwrap();
+    let at = place(0.4, 0.1, 0.0);
+    let all = fields.field(&at, all_rows(&SPEC));
+    for (a, b) in [
+        (-3.2, 4.9),
+        (1023.99, 1020.0),
+        (500.0, 500.0),
+        (7.0, 3000.0),
+    ] {
+        let mut rows = Rows::none(&SPEC);
+        rows.insert(a, b);
+        let some = fields.field(&at, rows);
+        for i in 0..=100 {
+            let t = a + (b - a) * i as f64 / 100.0;
+            let place = DVec2::new(13.7 * i as f64, t);
+            assert_eq!(some.intensity(place), all.intensity(place), "{a} {b} {t}");
+        }
+    }
+}
+
 fn grid() -> impl Iterator<Item = DVec2> {
     (0..256 * 256).map(|i| DVec2::new((i % 256) as f64, (i / 256) as f64) * 3.97)
 }
@@ -135,7 +161,7 @@ fn strips_that_do_not_slip_are_the_field() {
                 shift: along * u,
                 defocus: 0.4,
             };
-            let field = fields.field(&at);
+            let field = fields.field(&at, all_rows(&spec));
             let slipping = fields.slipping(&at, along);
             for p in grid().step_by(97) {
                 let (a, b) = (field.intensity(p), slipping.intensity(p, DVec2::ZERO));
@@ -172,7 +198,7 @@ fn interpolation_loses_no_contrast() {
                 shift: along * 0.37 * seed as f64,
                 defocus: 0.0,
             };
-            let field = fields.field(&at);
+            let field = fields.field(&at, all_rows(&spec));
             let slipping = fields.slipping(&at, along);
             let slip = DVec2::new(-23.0, 51.0);
             let sharp: Vec<f64> = grid().map(|p| field.intensity(p) as f64).collect();
