@@ -82,7 +82,6 @@ fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
     let values: Vec<Vec<f32>> = tasks
         .map_init(window, |window, first| frame.render(first, window))
         .collect();
-    drop(frame);
     Irradiance::new(pixels, values.concat())
 }
 

@@ -59,9 +59,9 @@ pub(super) struct Reader<'a> {
 }
 
 enum Source<'a> {
-    InFocus(FrameField<'a>),
+    InFocus(FrameField),
     OutOfFocus {
-        field: Box<SlippingField<'a>>,
+        field: Box<SlippingField>,
         /// Texels a diameter, for a defocus of one.
         slip: DVec2,
         focus: Focus,

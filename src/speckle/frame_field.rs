@@ -17,7 +17,6 @@ use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,24 +48,6 @@ pub struct FrameFields {
     sharpening: Vec<f64>,
     lost: Vec2,
     layers: Vec<Layer>,
-    spare: Spare,
-    spare_lines: Spare,
-}
-
-/// Memory of fields that are gone: new memory is slow, since the system clears it
-/// page by page.
-#[derive(Default)]
-struct Spare(Mutex<Vec<Vec<Complex32>>>);
-
-impl Spare {
-    fn all(&self) -> MutexGuard<'_, Vec<Vec<Complex32>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Of whatever values.
-    fn take(&self) -> Vec<Complex32> {
-        self.all().pop().unwrap_or_default()
-    }
 }
 
 /// Rows of a field that will be read.
@@ -115,8 +96,6 @@ impl FrameFields {
             plane,
             lost: Vec2::new((2.0 * (1.0 - column)) as f32, (2.0 * (1.0 - row)) as f32),
             layers: coherence.layers(spec),
-            spare: Spare::default(),
-            spare_lines: Spare::default(),
         })
     }
 
@@ -125,7 +104,7 @@ impl FrameFields {
     }
 
     /// The field at `place`, made in the given rows at least.
-    pub fn field(&self, place: &PupilPlace, mut rows: Rows) -> FrameField<'_> {
+    pub fn field(&self, place: &PupilPlace, mut rows: Rows) -> FrameField {
         if self.layers.len() > 1 {
             rows.insert_all();
         }
@@ -134,7 +113,7 @@ impl FrameFields {
 
     /// The field at `place`, to be read where it slips along the pupil's way, whose
     /// direction over the field is `along` (unit vector).
-    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField<'_> {
+    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField {
         let width = self.spec.aperture.extent();
         let way = place.shift.dot(along);
         let first = (way / width - 0.5).floor();
@@ -153,12 +132,7 @@ impl FrameFields {
     }
 
     /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(
-        &self,
-        place: &PupilPlace,
-        rows: &Rows,
-        keep: impl Fn(DVec2) -> bool,
-    ) -> FrameField<'_> {
+    fn part(&self, place: &PupilPlace, rows: &Rows, keep: impl Fn(DVec2) -> bool) -> FrameField {
         let width = self.spec.pupil_width();
         let centre = place.shift * width;
         let origin = carrier(centre);
@@ -177,18 +151,14 @@ impl FrameFields {
             factors.collect::<Vec<_>>()
         });
         let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64) / width);
-        let lines = self.spare_lines.take();
-        let columns = self.plane.columns(centre, [&x, &y], keep, lines);
-        let field = self.transform(&columns, rows);
-        self.spare_lines.all().push(columns.lines);
-        field
+        let columns = self.plane.columns(centre, [&x, &y], keep);
+        self.transform(&columns, rows)
     }
 
-    fn transform(&self, columns: &Columns, rows: &Rows) -> FrameField<'_> {
+    fn transform(&self, columns: &Columns, rows: &Rows) -> FrameField {
         let size = self.spec.size;
         let stride = size + 1;
-        let mut texels = self.spare.take();
-        texels.resize(size * stride, Complex32::ZERO);
+        let mut texels = vec![Complex32::ZERO; size * stride];
         let blocks = texels.par_chunks_exact_mut(ROWS * stride).enumerate();
         blocks
             .filter(|(block, _)| rows.needed[*block])
@@ -205,9 +175,6 @@ impl FrameFields {
             size_mask: size - 1,
             stride,
             texels,
-            #[cfg(debug_assertions)]
-            made: rows.needed.clone(),
-            spare: &self.spare,
             lost: self.lost,
             first_weight: self.layers[0].weight,
             further_layers: (self.layers[1..].iter())
@@ -218,16 +185,11 @@ impl FrameFields {
 }
 
 /// A field in memory, read by linear interpolation.
-pub struct FrameField<'a> {
+pub struct FrameField {
     size_mask: usize,
     /// Texels per row: one more than the period, so that the right tap never wraps.
     stride: usize,
     texels: Vec<Complex32>,
-    /// Of groups of [`ROWS`]; the others hold what an earlier field did.
-    #[cfg(debug_assertions)]
-    made: Vec<bool>,
-    /// Takes the texels back.
-    spare: &'a Spare,
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
     /// (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance.
     lost: Vec2,
@@ -236,13 +198,7 @@ pub struct FrameField<'a> {
     further_layers: Vec<(f32, DVec2)>,
 }
 
-impl Drop for FrameField<'_> {
-    fn drop(&mut self) {
-        self.spare.all().push(std::mem::take(&mut self.texels));
-    }
-}
-
-impl FrameField<'_> {
+impl FrameField {
     /// Speckle intensity at (s, t) in texels, mean 1; rows must have been made.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2) -> f32 {
@@ -269,8 +225,6 @@ impl FrameField<'_> {
         let gain =
             1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
         let taps = |row: usize| {
-            #[cfg(debug_assertions)]
-            assert!(self.made[row / ROWS], "row {row} was not made");
             let pair = &self.texels[row * self.stride + column..][..2];
             Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
         };
@@ -290,13 +244,13 @@ impl FrameField<'_> {
 /// band is centred on its own pupil, c, so its strips turn by 2π·c·(their distance
 /// apart) from frame to frame, and η_k = π·(d/N)·(along·S)·m_k² takes that back.
 /// (It is the difference of chirps |q−c|² and |q−u_k|² over a strip around u_k.)
-pub struct SlippingField<'a> {
-    strips: [(FrameField<'a>, f64); 2],
+pub struct SlippingField {
+    strips: [(FrameField, f64); 2],
     /// η of the second strip less that of the first, for each texel of S.
     turn: DVec2,
 }
 
-impl SlippingField<'_> {
+impl SlippingField {
     /// Speckle intensity at (s, t), mean 1, for a slip S in texels a diameter.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2, slip: DVec2) -> f32 {

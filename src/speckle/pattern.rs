@@ -164,7 +164,7 @@ const PHASE_BITS: u32 = 12;
 /// A pupil transformed along y only, one line per column x of phasors; rows of the
 /// pattern follow each by itself.
 pub(super) struct Columns {
-    pub lines: Vec<Complex32>,
+    lines: Vec<Complex32>,
     /// Makes |A|² mean 1.
     scale: f32,
     phasors: usize,
@@ -266,7 +266,7 @@ impl PhasorPlane {
         let weights: Vec<Complex32> = (-self.reach()..=self.reach())
             .map(|offset| Complex32::new(weight(offset) as f32, 0.0))
             .collect();
-        let columns = self.columns(centre, [&weights, &weights], |_, _| true, Vec::new());
+        let columns = self.columns(centre, [&weights, &weights], |_, _| true);
         let mut field = vec![Complex32::ZERO; size * size];
         let mut scratch = self.scratch();
         for (block, rows) in field.chunks_exact_mut(ROWS * size).enumerate() {
@@ -289,14 +289,12 @@ impl PhasorPlane {
         centre: DVec2,
         factors: [&[Complex32]; 2],
         keep: impl Fn(i64, i64) -> bool,
-        mut lines: Vec<Complex32>,
     ) -> Columns {
         let size = self.spec.size;
         let origin = carrier(centre);
         let reach = self.reach();
         // All other columns are zero and stay so.
-        lines.clear();
-        lines.resize(factors[0].len() * size, Complex32::ZERO);
+        let mut lines = vec![Complex32::ZERO; factors[0].len() * size];
         let (mut phasors, mut power) = (0, 0f32);
         let columns = lines.chunks_exact_mut(size).zip(factors[0]);
         for ((line, fx), dx) in columns.zip(-reach..) {
@@ -321,7 +319,7 @@ impl PhasorPlane {
         }
     }
 
-    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`.
+    /// Rows 8·`block` … 8·`block` + 7 of the pattern into `rows`, which are zero.
     pub(super) fn rows(
         &self,
         columns: &Columns,
@@ -330,7 +328,6 @@ impl PhasorPlane {
         scratch: &mut [Complex32],
     ) {
         let size = self.spec.size;
-        rows.iter_mut().for_each(|row| row.fill(Complex32::ZERO));
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
             let column = dx.rem_euclid(size as i64) as usize;
             let values = &line[ROWS * block..][..ROWS];
