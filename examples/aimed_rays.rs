@@ -133,16 +133,17 @@ fn camera(accel: &Accel) -> f64 {
     const SIDE: usize = 512;
     let (center, size) = (accel.bounds().center(), accel.bounds().size().length());
     let eye = center + DVec3::new(0.3, -0.55, 0.78) * 2.0 * size;
-    let (x, y) = (DVec3::X, (center - eye).normalize().cross(DVec3::X).normalize());
+    let (x, y) = (
+        DVec3::X,
+        (center - eye).normalize().cross(DVec3::X).normalize(),
+    );
     let ray = |column: usize, row: usize| {
         let at = |i: usize| ((i as f64 + 0.5) / SIDE as f64 - 0.5) * size;
         let mut ray = Ray::between(eye, center + x * at(column) + y * at(row)).unwrap();
         ray.t_max = f64::INFINITY;
         ray
     };
-    let rays: Vec<Ray> = (0..SIDE * SIDE)
-        .map(|i| ray(i % SIDE, i / SIDE))
-        .collect();
+    let rays: Vec<Ray> = (0..SIDE * SIDE).map(|i| ray(i % SIDE, i / SIDE)).collect();
     let run = |_| {
         let start = Instant::now();
         let hits = |rays| accel.closest(rays, |_, _| true).iter().flatten().count();
@@ -166,7 +167,10 @@ fn main() {
     let meshes = [
         ("sphere of 8000, off the origin", far),
         ("sphere of 800 000", shapes::sphere(40.0, 4e-4).unwrap()),
-        ("cylinder of slivers", shapes::cylinder(5.0, 60.0, 1e-4).unwrap()),
+        (
+            "cylinder of slivers",
+            shapes::cylinder(5.0, 60.0, 1e-4).unwrap(),
+        ),
         (
             "bracket",
             mesh::load(&root.join("scenes/bracket/bracket.stl"), 1.0).unwrap(),

@@ -50,24 +50,62 @@ fn no_mesh_file_takes_more_memory_than_is_stated() {
     const N: usize = 400_000;
     let repeated = |head: &str, line: &str, n: usize| [head, &line.repeat(n)].concat().into_bytes();
     let points = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
-    let facet = "facet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
-    let polygon = format!("{points}{}", ["f", &" 1 2 3".repeat(3000), "\n"].concat().repeat(40));
+    let facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+    let polygon = format!(
+        "{points}{}",
+        ["f", &" 1 2 3".repeat(3000), "\n"].concat().repeat(40)
+    );
     let faces = [&[0u8, 0, 0, 1, 0, 0, 0, 1, 0][..], &[3, 0, 1, 2].repeat(N)].concat();
     let empty_lists = [&[0u8, 0, 0][..], &[0].repeat(N)].concat();
     let files: [(&str, usize, bool, Vec<u8>); 14] = [
         ("binary STL", 6, true, stl(100_000, 100_000)),
         ("STL that promises more", 6, false, stl(1000, u32::MAX)),
         ("ASCII STL", 6, true, repeated("solid a\n", facet, N / 8)),
-        ("ASCII STL, cut", 6, false, repeated("solid a\nfacet\n", "outer loop ", N)),
+        (
+            "ASCII STL, cut",
+            6,
+            false,
+            repeated("solid a\nfacet normal 0 0 1\n", "outer loop ", N),
+        ),
         ("OBJ of faces", 30, true, repeated(points, "f 1 2 3\n", N)),
-        ("OBJ of shorter faces", 30, true, repeated(points, "f 1 1 1\n", N)),
-        ("OBJ of vertices", 30, true, repeated("f 1 2 3\n", "v 0 0 0\n", N)),
+        (
+            "OBJ of shorter faces",
+            30,
+            true,
+            repeated(points, "f 1 1 1\n", N),
+        ),
+        (
+            "OBJ of vertices",
+            30,
+            true,
+            repeated("f 1 2 3\n", "v 0 0 0\n", N),
+        ),
         ("OBJ of one long line", 30, false, repeated("v", " 1", N)),
         ("OBJ of polygons", 30, true, polygon.into_bytes()),
-        ("PLY of faces", 30, true, ply("binary_little_endian", [3, N as u64], &faces)),
-        ("PLY of nothing", 30, false, ply("binary_big_endian", [1, N as u64], &empty_lists)),
-        ("PLY of too many", 30, false, ply("ascii", [u64::MAX, 1], b"0 0 0\n")),
-        ("PLY of many vertices", 30, false, ply("ascii", [N as u64, 1], "0 0 0\n".repeat(N).as_bytes())),
+        (
+            "PLY of faces",
+            30,
+            true,
+            ply("binary_little_endian", [3, N as u64], &faces),
+        ),
+        (
+            "PLY of nothing",
+            30,
+            false,
+            ply("binary_big_endian", [1, N as u64], &empty_lists),
+        ),
+        (
+            "PLY of too many",
+            30,
+            false,
+            ply("ascii", [u64::MAX, 1], b"0 0 0\n"),
+        ),
+        (
+            "PLY of many vertices",
+            30,
+            false,
+            ply("ascii", [N as u64, 1], "0 0 0\n".repeat(N).as_bytes()),
+        ),
         ("text", 30, false, b"v ".repeat(N)),
     ];
     for (name, times, expected, bytes) in files {
@@ -93,12 +131,19 @@ fn every_bit() {
     let list = [3u32, 0, 1, 2].map(u32::to_le_bytes);
     let ply = [text.as_bytes(), little.as_flattened(), list.as_flattened()].concat();
     assert!(taken(&ply).1);
-    for file in [ply, stl(2, 2), b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_vec()] {
+    for file in [
+        ply,
+        stl(2, 2),
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_vec(),
+    ] {
         for bit in 0..8 * file.len() {
             let mut file = file.clone();
             file[bit / 8] ^= 1 << (bit % 8);
             let (taken, _) = taken(&file);
-            assert!(taken <= 30 * file.len() + ANYWAY, "bit {bit}: {taken} bytes");
+            assert!(
+                taken <= 30 * file.len() + ANYWAY,
+                "bit {bit}: {taken} bytes"
+            );
         }
     }
 }

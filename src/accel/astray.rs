@@ -41,7 +41,9 @@ pub(super) fn seek(
     mut found: impl FnMut(usize, Hit),
 ) {
     let aside = part.resolution() / 2.0;
-    let mut doubtful = (0..rays.len()).filter(|i| backs.rays >> i & 1 == 1).peekable();
+    let mut doubtful = (0..rays.len())
+        .filter(|i| backs.rays >> i & 1 == 1)
+        .peekable();
     while doubtful.peek().is_some() {
         let mut beside = [rays[0]; WIDTH];
         let mut of = [0; WIDTH];
@@ -72,6 +74,7 @@ pub(super) fn seek(
                 best[i] = Some(hit);
             }
         });
-        (best.into_iter().enumerate()).for_each(|(i, hit)| hit.into_iter().for_each(|h| found(i, h)));
+        (best.into_iter().enumerate())
+            .for_each(|(i, hit)| hit.into_iter().for_each(|h| found(i, h)));
     }
 }

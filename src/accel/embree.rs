@@ -63,7 +63,12 @@ pub(super) struct Device {
 
 impl Device {
     pub(super) fn new(threads: usize) -> Result<Device> {
-        let config = CString::new(format!("threads={threads}")).expect("no NUL in it");
+        Device::configured(&format!("threads={threads}"))
+    }
+
+    /// With settings as `rtcNewDevice` takes them.
+    fn configured(settings: &str) -> Result<Device> {
+        let config = CString::new(settings).expect("no NUL in it");
         let mut code = 0;
         // SAFETY: both pointers are valid for the call.
         let handle = unsafe { ffi::lt_device_new(config.as_ptr(), &mut code) };

@@ -113,6 +113,7 @@ impl PartBox {
 
 /// The side of a triangle that a ray meets: front if its corners are seen in
 /// counter-clockwise order.
+#[cfg(feature = "embree")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
     Front,
