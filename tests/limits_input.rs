@@ -51,7 +51,7 @@ fn scene_of_files() -> tempfile::TempDir {
 "camera": {"resolution_px": [64, 48], "pixel_pitch_um": 30, "principal_distance_mm": 18.5,
 "principal_point_px": [32, 24], "tilt_deg": [0, 0]},
 "head_from_camera": {"rotation_vector_rad": [2.6, 0, 0], "position_mm": [0, -57.5, 99.6]},
-"laser_plane": {"point_mm": [0, 0, 100], "normal": [0, 0.5, 0.8]}}
+"laser_plane": {"point_mm": [0, 0, 100], "normal": [0, 0.6, 0.8]}}
 "#;
     fs::write(folder.path().join("c.json"), calibration).unwrap();
     folder

@@ -42,25 +42,34 @@ fn ply(encoding: &str, [vertices, faces]: [u64; 2], body: &[u8]) -> Vec<u8> {
     [header.as_bytes(), body].concat()
 }
 
+/// What a file holds, how many times itself it may take, whether it is a mesh, and it.
+type Case = (&'static str, usize, bool, Vec<u8>);
+
 /// The shortest statements of each format, over and over, and counts that promise
-/// more than there is: within 6 times the file for STL and 30 times for the others,
-/// as `mesh::load` says.
-#[test]
-fn no_mesh_file_takes_more_memory_than_is_stated() {
+/// more than there is.
+fn hostile() -> Vec<Case> {
     const N: usize = 400_000;
     let repeated = |head: &str, line: &str, n: usize| [head, &line.repeat(n)].concat().into_bytes();
     let points = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
     let facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
     let polygon = format!(
         "{points}{}",
-        ["f", &" 1 2 3".repeat(3000), "\n"].concat().repeat(40)
+        ["f", &" 1 2 3".repeat(100), "\n"].concat().repeat(400)
     );
     let faces = [&[0u8, 0, 0, 1, 0, 0, 0, 1, 0][..], &[3, 0, 1, 2].repeat(N)].concat();
-    let empty_lists = [&[0u8, 0, 0][..], &[0].repeat(N)].concat();
-    let files: [(&str, usize, bool, Vec<u8>); 14] = [
+    vec![
         ("binary STL", 6, true, stl(100_000, 100_000)),
         ("STL that promises more", 6, false, stl(1000, u32::MAX)),
-        ("ASCII STL", 6, true, repeated("solid a\n", facet, N / 8)),
+        (
+            "ASCII STL",
+            6,
+            true,
+            [
+                repeated("solid a\n", facet, N / 8),
+                b"endsolid a\n".to_vec(),
+            ]
+            .concat(),
+        ),
         (
             "ASCII STL, cut",
             6,
@@ -89,12 +98,6 @@ fn no_mesh_file_takes_more_memory_than_is_stated() {
             ply("binary_little_endian", [3, N as u64], &faces),
         ),
         (
-            "PLY of nothing",
-            30,
-            false,
-            ply("binary_big_endian", [1, N as u64], &empty_lists),
-        ),
-        (
             "PLY of too many",
             30,
             false,
@@ -107,8 +110,13 @@ fn no_mesh_file_takes_more_memory_than_is_stated() {
             ply("ascii", [N as u64, 1], "0 0 0\n".repeat(N).as_bytes()),
         ),
         ("text", 30, false, b"v ".repeat(N)),
-    ];
-    for (name, times, expected, bytes) in files {
+    ]
+}
+
+/// Within 6 times the file for STL and 30 times for the others, as `mesh::load` says.
+#[test]
+fn no_mesh_file_takes_more_memory_than_is_stated() {
+    for (name, times, expected, bytes) in hostile() {
         let (taken, is_mesh) = taken(&bytes);
         println!("{name}: {:.2}", taken as f64 / bytes.len() as f64);
         assert_eq!(is_mesh, expected, "{name}");

@@ -205,7 +205,7 @@ impl<'m> Accel<'m> {
             beside: self.overshoot(),
         };
         let mut hits = [None; WIDTH];
-        let mut found = |i: usize, triangle: u32, t: f64| {
+        let found = |i: usize, triangle: u32, t: f64| {
             if wanted(i, t) {
                 let corners = self.mesh.triangle(triangle as usize);
                 hits[i] = refine(&rays[i], triangle, corners, t, tolerance);
@@ -214,7 +214,7 @@ impl<'m> Accel<'m> {
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
-                let mut backs = Backs::default();
+                let (mut found, mut backs) = (found, Backs::default());
                 tree.closest(rays, &self.part, |i, triangle, t, side| {
                     if side == Side::Back {
                         backs.add(i, t);
