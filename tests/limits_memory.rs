@@ -1,5 +1,8 @@
 //! Memory that reading a mesh takes, at its peak, as a multiple of the file. Alone in
 //! its program, since the peak is that of all threads.
+// With the race's rivals the program counts allocations itself, and there is one
+// allocator to a program.
+#![cfg(not(feature = "race"))]
 
 use lasertrace::mesh;
 use peak_alloc::PeakAlloc;
