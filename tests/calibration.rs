@@ -335,7 +335,7 @@ fn a_rendered_calibration_is_right_within_its_uncertainty() {
     let scene = Scene::load(&scene_with(folder.path(), &changes, "")).unwrap();
     let control = Control {
         progress: &|_| {},
-        building: &|_| (),
+        building: None,
         stop: &AtomicBool::new(false),
     };
     let out = folder.path().join("out");

@@ -1,11 +1,12 @@
 //! Tracing only what may see lit surface gives the bytes of tracing everything.
 
+mod cameras;
 mod random;
 
 use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
-use lasertrace::camera::{Camera, Distortion, Lens, Sensor};
+use lasertrace::camera::{Camera, Distortion};
 use lasertrace::integrator::{
     Patterns, Sampling, Speckle, View, footprint_image, irradiance_image,
 };
@@ -34,27 +35,12 @@ struct Setup {
 }
 
 fn camera(resolution: UVec2, pitch: f64, focus_distance: f64, tilt: DVec2) -> Camera {
-    Camera {
-        lens: Lens {
-            focal_length: 25.0,
-            f_number: 8.0,
-            focus_distance,
-            aperture: lasertrace::camera::Aperture::Circle,
-            distortion: None,
-        },
-        sensor: Sensor {
-            resolution,
-            pixel_pitch: pitch,
-            exposure_ms: 1.0,
-            quantum_efficiency: 0.5,
-            gain_dn_per_e: 0.1,
-            bit_depth: 12,
-            full_well_e: 20_000.0,
-            black_level_dn: 0.0,
-            noise: None,
-        },
-        tilt,
-    }
+    let mut camera = cameras::camera();
+    camera.sensor.resolution = resolution;
+    camera.sensor.pixel_pitch = pitch;
+    camera.lens.focus_distance = focus_distance;
+    camera.tilt = tilt;
+    camera
 }
 
 impl Setup {

@@ -1,8 +1,10 @@
 //! Images of known scenes against closed forms.
 
+mod cameras;
+
 use glam::UVec2;
 use lasertrace::accel::Accel;
-use lasertrace::camera::{Aperture, Camera, Lens, Sensor};
+use lasertrace::camera::Camera;
 use lasertrace::integrator::{Sampling, View, irradiance_image};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3, Rigid};
@@ -11,27 +13,14 @@ use lasertrace::surface::Lambert;
 use std::f64::consts::PI;
 
 fn camera(columns: u32, rows: u32, tilt_deg: f64) -> Camera {
-    Camera {
-        lens: Lens {
-            focal_length: 50.0,
-            f_number: 8.0,
-            focus_distance: 150.0,
-            aperture: Aperture::Circle,
-            distortion: None,
-        },
-        sensor: Sensor {
-            resolution: UVec2::new(columns, rows),
-            pixel_pitch: 0.005,
-            exposure_ms: 1.0,
-            quantum_efficiency: 0.5,
-            gain_dn_per_e: 0.1,
-            bit_depth: 12,
-            full_well_e: 1e9,
-            black_level_dn: 0.0,
-            noise: None,
-        },
-        tilt: DVec2::new(tilt_deg.to_radians(), 0.0),
-    }
+    let mut camera = cameras::camera();
+    camera.lens.focal_length = 50.0;
+    camera.lens.focus_distance = 150.0;
+    camera.sensor.resolution = UVec2::new(columns, rows);
+    camera.sensor.pixel_pitch = 0.005;
+    camera.sensor.full_well_e = 1e9;
+    camera.tilt.x = tilt_deg.to_radians();
+    camera
 }
 
 fn beam(waist_radius: f64, waist_distance: f64) -> Beam {

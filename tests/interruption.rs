@@ -296,7 +296,7 @@ fn a_stop_in_the_report_is_heard() {
         let stop = AtomicBool::new(false);
         let control = Control {
             progress: &|done| stop.store(done == last, Ordering::Relaxed),
-            building: &|_| (),
+            building: None,
             stop: &stop,
         };
         let options = ScanOptions {

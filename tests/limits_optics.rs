@@ -1,11 +1,10 @@
 //! Numbers as large and small as a scene takes them, through to the points; and laser,
 //! lens and speckle where their formulas end.
 
+mod cameras;
 mod program;
 
-use glam::UVec2;
 use lasertrace::batch::Simulation;
-use lasertrace::camera::{Aperture, Camera, Lens, Sensor};
 use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::scene::Scene;
@@ -125,36 +124,13 @@ fn a_waist_past_the_paraxial_limit_is_refused() {
     }
 }
 
-fn camera(tilt_deg: [f64; 2]) -> Camera {
-    Camera {
-        lens: Lens {
-            focal_length: 25.0,
-            f_number: 8.0,
-            focus_distance: 240.0,
-            aperture: Aperture::Circle,
-            distortion: None,
-        },
-        sensor: Sensor {
-            resolution: UVec2::new(800, 600),
-            pixel_pitch: 0.0055,
-            exposure_ms: 1.0,
-            quantum_efficiency: 0.5,
-            gain_dn_per_e: 0.1,
-            bit_depth: 12,
-            full_well_e: 20_000.0,
-            black_level_dn: 0.0,
-            noise: None,
-        },
-        tilt: DVec2::from(tilt_deg.map(f64::to_radians)),
-    }
-}
-
 /// Points at, behind and hardly before the lens, in its focal plane, and in directions
 /// that a tilted sensor's plane does not meet: no image, or a finite one.
 #[test]
 fn no_point_has_an_image_that_is_no_number() {
     for tilt in [[0.0, 0.0], [80.0, 0.0], [-80.0, 80.0], [0.0, 45.0]] {
-        let camera = camera(tilt);
+        let mut camera = cameras::camera();
+        camera.tilt = DVec2::from(tilt.map(f64::to_radians));
         for z in [
             -1e12, -1.0, -5e-324, 0.0, 5e-324, 1e-200, 1e-9, 25.0, 240.0, 1e12,
         ] {

@@ -43,11 +43,18 @@ fn measured(scene: &str) -> Vec<CloudPoint> {
     points
 }
 
-/// Greatest |deviation| in µm, and how many points carry a flag.
-fn worst(points: &[CloudPoint], flag: Flags) -> (f64, usize) {
-    let deviations = points.iter().map(|p| p.deviation.abs() * 1e3);
+/// So many points, all with the flag; the greatest |deviation| of one, µm.
+fn all_flagged(scene: &str, flag: Flags, count: usize) -> f64 {
+    let points = measured(scene);
     let flagged = points.iter().filter(|p| p.flags.contains(flag)).count();
-    (deviations.fold(0.0, f64::max), flagged)
+    let deviations = points.iter().map(|p| p.deviation.abs() * 1e3);
+    let worst = deviations.fold(0.0, f64::max);
+    println!(
+        "{scene}: {} points, {flagged} flagged, {worst:.3} µm",
+        points.len()
+    );
+    assert_eq!((points.len(), flagged), (count, count), "{scene}");
+    worst
 }
 
 /// 10⁶ part sizes from the origin a step of 1 mm is one to within 1 µm.
@@ -76,25 +83,28 @@ fn far() {
 
 #[test]
 fn saturated() {
-    let points = measured("limits/saturated");
-    let (off, flagged) = worst(&points, Flags::SATURATED);
-    println!(
-        "saturated: {} points, {flagged} flagged, {off:.3} µm",
-        points.len()
-    );
-    assert_eq!((points.len(), flagged), (3 * 640, 3 * 640));
-    assert!(off < 1.0, "{off} µm");
+    let worst = all_flagged("limits/saturated", Flags::SATURATED, 3 * 640);
+    assert!(worst < 1.0, "{worst} µm");
 }
 
 #[test]
 fn border() {
-    let points = measured("limits/border");
-    let (off, flagged) = worst(&points, Flags::BORDER);
-    println!(
-        "border: {} points, {flagged} flagged, {off:.3} µm",
-        points.len()
-    );
-    assert!(!points.is_empty() && flagged == points.len());
+    let worst = all_flagged("limits/border", Flags::BORDER, 3 * 640);
+    assert!((1.0..5.0).contains(&worst), "{worst} µm");
+}
+
+/// The centroid of the light on the strip is 17 µm off the middle of the beam, which at
+/// 45° is as much of height; a pixel is 10 µm.
+#[test]
+fn edge() {
+    let worst = all_flagged("limits/edge", Flags::EDGE, 640);
+    assert!((15.0..30.0).contains(&worst), "{worst} µm");
+}
+
+#[test]
+fn grazing() {
+    let worst = all_flagged("limits/grazing", Flags::OUTSIDE, 2 * 640);
+    assert!((20.0..50.0).contains(&worst), "{worst} µm");
 }
 
 #[test]
@@ -105,30 +115,6 @@ fn without_light_or_sight_there_are_no_points() {
     let points = measured("limits/one-pixel");
     println!("one pixel: {} points", points.len());
     assert_eq!(points, []);
-}
-
-#[test]
-fn grazing() {
-    let points = measured("limits/grazing");
-    let (off, flagged) = worst(&points, Flags::OUTSIDE);
-    let clear = points.iter().filter(|p| p.flags.is_empty());
-    let silent = clear
-        .filter(|p| p.deviation.abs() > 3.0 * p.deviation_sigma)
-        .count();
-    println!(
-        "grazing: {} points, {flagged} outside, {silent} silent, {off:.3} µm",
-        points.len()
-    );
-}
-
-#[test]
-fn edge() {
-    let points = measured("limits/edge");
-    let (off, flagged) = worst(&points, Flags::EDGE);
-    println!(
-        "edge: {} points, {flagged} flagged, {off:.3} µm",
-        points.len()
-    );
 }
 
 /// Little-endian numbers of a PLY's vertices are finite.

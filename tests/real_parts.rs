@@ -253,7 +253,7 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
     let scene = Scene::load(&path).unwrap();
     let control = Control {
         progress: &|_| {},
-        building: &|_| (),
+        building: None,
         stop: &AtomicBool::new(false),
     };
     scan(

@@ -74,7 +74,10 @@ pub(super) fn seek(
                 best[i] = Some(hit);
             }
         });
-        (best.into_iter().enumerate())
-            .for_each(|(i, hit)| hit.into_iter().for_each(|h| found(i, h)));
+        for (i, hit) in best.into_iter().enumerate() {
+            if let Some(hit) = hit {
+                found(i, hit);
+            }
+        }
     }
 }

@@ -64,15 +64,17 @@ pub struct Control<'a> {
     /// Called with the number of frames done so far, from any thread.
     pub progress: &'a (dyn Fn(u64) + Sync),
     /// Called with the share of the hierarchy that is built, from any thread, before
-    /// there are frames.
-    pub building: &'a (dyn Fn(f64) + Sync),
+    /// there are frames; `None`: nobody looks.
+    pub building: Option<&'a (dyn Fn(f64) + Sync)>,
     pub stop: &'a AtomicBool,
 }
 
 impl Control<'_> {
     fn hierarchy<'s>(&self, scene: &'s Scene) -> Result<Accel<'s>> {
         simulation::hierarchy(scene, &|share| {
-            (self.building)(share);
+            if let Some(building) = self.building {
+                building(share);
+            }
             self.check()
         })
     }

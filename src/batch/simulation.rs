@@ -146,7 +146,12 @@ impl<'s> Simulation<'s> {
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
         let columns = irradiance.columns();
-        let mut counts = vec![sensor.count(0.0, key); columns * irradiance.rows()];
+        // Dark counts that differ are drawn over it.
+        let level = self
+            .dark
+            .as_ref()
+            .map_or_else(|| sensor.count(0.0, key), |_| 0);
+        let mut counts = vec![level; columns * irradiance.rows()];
         if let Some(dark) = &self.dark {
             let dark_key = key.with(DARK);
             let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP).enumerate();

@@ -130,33 +130,42 @@ impl Camera {
     }
 }
 
+/// 800 × 600 pixels of 5.5 µm behind a lens of 25 mm, f/8, that looks at 240 mm; no
+/// tilt, no noise.
+#[cfg(test)]
+pub(crate) fn fixture() -> Camera {
+    Camera {
+        lens: Lens {
+            focal_length: 25.0,
+            f_number: 8.0,
+            focus_distance: 240.0,
+            aperture: Aperture::Circle,
+            distortion: None,
+        },
+        sensor: Sensor {
+            resolution: glam::UVec2::new(800, 600),
+            pixel_pitch: 0.0055,
+            exposure_ms: 1.0,
+            quantum_efficiency: 0.5,
+            gain_dn_per_e: 0.1,
+            bit_depth: 12,
+            full_well_e: 20_000.0,
+            black_level_dn: 0.0,
+            noise: None,
+        },
+        tilt: DVec2::ZERO,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::math::rng::{Key, Purpose};
-    use glam::UVec2;
 
     fn camera(tilt_deg: [f64; 2]) -> Camera {
         Camera {
-            lens: Lens {
-                focal_length: 25.0,
-                f_number: 8.0,
-                focus_distance: 240.0,
-                aperture: Aperture::Circle,
-                distortion: None,
-            },
-            sensor: Sensor {
-                resolution: UVec2::new(800, 600),
-                pixel_pitch: 0.0055,
-                exposure_ms: 1.0,
-                quantum_efficiency: 0.5,
-                gain_dn_per_e: 0.1,
-                bit_depth: 12,
-                full_well_e: 20_000.0,
-                black_level_dn: 0.0,
-                noise: None,
-            },
             tilt: DVec2::from(tilt_deg.map(f64::to_radians)),
+            ..fixture()
         }
     }
 

@@ -36,7 +36,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(steps as u64, "builds and rounds");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let bench = batch::bench_bvh(&arguments.mesh, &mesh, effort, &arguments.output, &control);

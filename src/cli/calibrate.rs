@@ -19,7 +19,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(batch::CALIBRATION_VIEWS as u64, "views");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let summary = batch::calibrate(scene, &arguments.output, &control);

@@ -32,7 +32,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(batch::chart_conditions() as u64, "conditions");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let Some(image) = &arguments.image else {

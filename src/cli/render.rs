@@ -22,7 +22,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let building = output.share("of the hierarchy built");
     let control = Control {
         progress: &|_| {},
-        building: &|share| show(&building, share),
+        building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let summary = batch::render(

@@ -70,7 +70,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let building = output.share("of the hierarchy built");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|share| show(&building, share),
+        building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
     let summary = batch::scan(&scene, &options, &arguments.output, &control);

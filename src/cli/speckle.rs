@@ -52,7 +52,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let control = Control {
         progress: &|_| {},
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let summary = batch::speckle(&spec, &arguments.output, &control)?;

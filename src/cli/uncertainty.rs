@@ -23,7 +23,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(arguments.seeds, "seeds");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let Arguments {

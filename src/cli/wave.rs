@@ -41,7 +41,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bar = output.progress(rows as u64, "motions");
     let control = Control {
         progress: &|done| bar.set_position(done),
-        building: &|_| (),
+        building: None,
         stop: &STOP,
     };
     let summary = match &scene {

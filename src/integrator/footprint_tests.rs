@@ -1,7 +1,6 @@
 //! That the footprint is small; that it is large enough is tests/footprint.rs.
 
 use super::*;
-use crate::camera::{Camera, Lens, Sensor};
 use crate::integrator::Sampling;
 use crate::laser::{Beam, Fan};
 use crate::mesh::{Mesh, shapes};
@@ -15,27 +14,9 @@ const ROWS: u32 = 600;
 /// above with its line along x, camera 30° before it, 0.05 mm a pixel.
 fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
     let accel = crate::accel::Accel::build(mesh, 1).unwrap();
-    let camera = Camera {
-        lens: Lens {
-            focal_length: 25.0,
-            f_number: 8.0,
-            focus_distance: 240.0,
-            aperture: crate::camera::Aperture::Circle,
-            distortion: None,
-        },
-        sensor: Sensor {
-            resolution: UVec2::new(COLUMNS, ROWS),
-            pixel_pitch: 0.05 * 25.0 / 215.0,
-            exposure_ms: 1.0,
-            quantum_efficiency: 0.5,
-            gain_dn_per_e: 0.1,
-            bit_depth: 12,
-            full_well_e: 20_000.0,
-            black_level_dn: 0.0,
-            noise: None,
-        },
-        tilt: DVec2::ZERO,
-    };
+    let mut camera = crate::camera::fixture();
+    camera.sensor.resolution = UVec2::new(COLUMNS, ROWS);
+    camera.sensor.pixel_pitch = 0.05 * 25.0 / 215.0;
     let laser = Laser {
         beam: Beam {
             wavelength: 660e-6,

@@ -1,7 +1,7 @@
 //! The samples of a pixel on a plane, four at a time.
 
 use super::lit::{Light, LitRays, Plane};
-use super::speckle::{PixelReader, Reader};
+use super::speckle::Reader;
 use crate::math::{DVec2, DVec3};
 use std::f64::consts::SQRT_2;
 use wide::f32x4;
@@ -71,16 +71,13 @@ impl Grid {
         let sum: f32x4 = match speckle.map(|reader| reader.pixel(centre, light.depth)) {
             None => shares.map(|(four, shares)| four.weights * shares).sum(),
             Some(reader) => shares
-                .map(|(four, shares)| four.weights * shares * f32x4::from(four_of(&reader, four)))
+                .map(|(four, shares)| {
+                    four.weights * shares * f32x4::from(reader.four(&four.columns, &four.rows))
+                })
                 .sum(),
         };
         sum.reduce_add() as f64 / self.count() as f64
     }
-}
-
-#[inline(always)]
-fn four_of(reader: &PixelReader, four: &Four) -> [f32; 4] {
-    reader.four(&four.columns, &four.rows)
 }
 
 /// The laser's Gaussian profile over a pixel that sees a plane.

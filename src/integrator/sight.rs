@@ -139,34 +139,15 @@ impl Projection {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Lens, Sensor};
     use crate::math::rng::{Key, Purpose};
-    use glam::UVec2;
 
     /// Against the camera's own projection, at a tilt; and no two near points,
     /// one of them on the sensor, are imaged further apart than the bound.
     #[test]
     fn images_are_where_the_camera_has_them_and_spread_is_a_bound() {
         let camera = Camera {
-            lens: Lens {
-                focal_length: 25.0,
-                f_number: 8.0,
-                focus_distance: 240.0,
-                aperture: crate::camera::Aperture::Circle,
-                distortion: None,
-            },
-            sensor: Sensor {
-                resolution: UVec2::new(800, 600),
-                pixel_pitch: 0.0055,
-                exposure_ms: 1.0,
-                quantum_efficiency: 0.5,
-                gain_dn_per_e: 0.1,
-                bit_depth: 12,
-                full_well_e: 20_000.0,
-                black_level_dn: 0.0,
-                noise: None,
-            },
             tilt: DVec2::new(0.4, -0.3),
+            ..crate::camera::fixture()
         };
         let pose = Rigid::from_euler_xyz(DVec3::new(1.0, 2.0, -0.5), DVec3::new(7.0, 90.0, -3.0));
         let sight = Sight::new(&camera, &pose);

@@ -36,6 +36,16 @@ struct Column {
     sigma: f64,
 }
 
+/// A column's line, located.
+struct Found<'a> {
+    column: u32,
+    line: Line<'a>,
+    /// Whether the column has another.
+    double: bool,
+    /// And the line's intensity, counts.
+    located: (Located, f64),
+}
+
 /// The line of each column of a row-by-row image, in the order of columns; columns
 /// without one are left out. A line is what stands out from its column's own noise
 /// so far that noise alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's
@@ -58,19 +68,26 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
         let Some(found) = found else { continue };
         let (line, double) = chosen(column, found, width, settings);
         if let Some(located) = locate(&line, settings.finder) {
-            lines.push((number as u32, line, double, located));
+            lines.push(Found {
+                column: number as u32,
+                line,
+                double,
+                located,
+            });
         }
     }
     fit_windows(&mut lines, columns, settings);
-    let peak = |(column, line, double, (located, intensity)): (u32, Line, bool, (Located, f64))| {
+    let peak = |found: Found| {
+        let line = found.line;
+        let (located, intensity) = found.located;
         let mut flags = Flags::empty();
-        flags.set(Flags::DOUBLE, double);
+        flags.set(Flags::DOUBLE, found.double);
         flags.set(Flags::SATURATED, is_saturated(&line));
         let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
         let inside = located.row >= window && located.row + window <= rows as f64;
         flags.set(Flags::BORDER, !inside);
         Peak {
-            column,
+            column: found.column,
             row: located.row,
             intensity,
             height: line.height,
@@ -88,29 +105,25 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
 /// than was taken: on a slope towards the camera it is wider, and cut off by its window
 /// it would stray more than a whole one; on one away from it, it is narrower, and noise
 /// beside it would move it.
-fn fit_windows(
-    lines: &mut [(u32, Line, bool, (Located, f64))],
-    columns: usize,
-    settings: &PeakSettings,
-) {
-    let single = lines.iter().filter(|(_, _, double, _)| !double);
-    let widths = single.map(|&(column, _, _, (located, _))| (column, located.sigma));
+fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
+    let single = lines.iter().filter(|found| !found.double);
+    let widths = single.map(|found| (found.column, found.located.0.sigma));
     let around = Neighbourhood::new(columns, widths);
-    for (column, line, _, located) in lines {
-        let (_, Some(width)) = around.around(*column) else {
+    for found in lines {
+        let (_, Some(width)) = around.around(found.column) else {
             continue;
         };
         // One that is much wider than its neighbours is another line, not their speckle.
-        let alike = located.0.sigma <= WIDE_RATIO * width;
-        if !alike || (width / line.sigma - 1.0).abs() <= WIDTH_TOLERANCE {
+        let alike = found.located.0.sigma <= WIDE_RATIO * width;
+        if !alike || (width / found.line.sigma - 1.0).abs() <= WIDTH_TOLERANCE {
             continue;
         }
         let other = Line {
             sigma: width,
-            ..*line
+            ..found.line
         };
         if let Some(again) = locate(&other, settings.finder) {
-            (*line, *located) = (other, again);
+            (found.line, found.located) = (other, again);
         }
     }
 }
@@ -135,6 +148,7 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
             let height = band.len() / columns;
             for first in (strip..end).step_by(TILE) {
                 let width = TILE.min(end - first);
+                // With the width known the rows are copied as vectors.
                 let turned = match width {
                     TILE => turn(band, first, TILE),
                     _ => turn(band, first, width),
