@@ -14,7 +14,6 @@ use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::scene::Scene;
-use lasertrace::speckle::coordinate::GrainMap;
 use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
 use lasertrace::speckle::lookup::Coherence;
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
@@ -159,7 +158,7 @@ impl<'m> Part<'m> {
                     },
                     slip: None,
                 },
-                map: GrainMap::new(4.0, 0.012, DVec2::new(1e-4, -2e-4)),
+                map: self.fields.map(0.012, DVec2::new(1e-4, -2e-4)),
                 displacement: DVec2::new(0.3, -7.0),
             }),
             samples_per_side: setup.samples_per_side,

@@ -8,7 +8,7 @@ use crate::math::{DVec2, DVec3, Rigid};
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, ScanCoordinate};
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::frame_field::FrameFields;
+use crate::speckle::frame_field::{FrameFields, field_spec};
 use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::{Source, SurfaceView, overlap_correlation_defocused};
 use crate::speckle::path::PathAnchor;
@@ -59,8 +59,8 @@ impl Anchor {
     }
 }
 
-/// The patterns of a scan; as a ring, ten slices a pupil diameter.
-pub fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
+/// The patterns of a scan as a ring, ten slices a pupil diameter.
+fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
         slices: 32,
         aperture,
@@ -72,26 +72,31 @@ pub fn scan_patterns(seed: u64, aperture: Aperture) -> PatternSpec {
 impl ScanSpeckle {
     /// `slips`: the patterns are read out of focus.
     pub fn new(scene: &Scene, model: &SpeckleModel, slips: bool) -> Result<ScanSpeckle> {
-        let spec = scan_patterns(scene.seed, model.aperture);
         let wavelength = scene.laser.beam.wavelength;
+        let grain = scene.camera.speckle_size(wavelength);
+        let gradient = scene.camera.speckle_size_gradient(wavelength);
         let anchor = anchor(scene, slips);
-        let source = match model.method {
-            Method::Field => PatternSource::Frame {
-                fields: FrameFields::new(&spec, model.coherence)?,
-                slip: anchor.slip().filter(|_| slips),
-            },
-            Method::Trilinear | Method::Prefiltered { .. } => PatternSource::Ring {
-                lookup: Lookup::new(&spec, model.method, model.coherence)?,
-                per_pixel: model.method != Method::Trilinear,
-            },
+        let (source, map) = match model.method {
+            Method::Field => {
+                let spec = field_spec(scene.seed, model.aperture);
+                let fields = FrameFields::new(&spec, model.coherence)?;
+                let map = fields.map(grain, gradient);
+                let slip = anchor.slip().filter(|_| slips);
+                (PatternSource::Frame { fields, slip }, map)
+            }
+            Method::Trilinear | Method::Prefiltered { .. } => {
+                let spec = ring_spec(scene.seed, model.aperture);
+                let source = PatternSource::Ring {
+                    lookup: Lookup::new(&spec, model.method, model.coherence)?,
+                    per_pixel: model.method != Method::Trilinear,
+                };
+                let map = GrainMap::new(spec.texels_per_speckle, grain, gradient);
+                (source, map)
+            }
         };
         Ok(ScanSpeckle {
             source,
-            map: GrainMap::new(
-                spec.texels_per_speckle,
-                scene.camera.speckle_size(wavelength),
-                scene.camera.speckle_size_gradient(wavelength),
-            ),
+            map,
             anchor,
         })
     }

@@ -1,7 +1,7 @@
 //! The wave-optics reference: its own table of motions and line widths, and one
 //! patch of a scene.
 
-use super::scan_speckle::{scan_patterns, surface_view};
+use super::scan_speckle::surface_view;
 use super::simulation::Simulation;
 use super::{Control, files};
 use crate::accel::Ray;
@@ -11,7 +11,7 @@ use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::scene::Scene;
 use crate::speckle::anchor::rotation_vector;
-use crate::speckle::frame_field::{FrameFields, PupilPlace, Rows};
+use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{Motion, SurfaceView};
 use crate::speckle::pattern::Aperture;
@@ -183,21 +183,19 @@ fn measured(
 }
 
 /// γ as the fields of a scan's frames show it before and after each motion: the
-/// correlation of 2¹⁹ readings, a grain apart, of eight patterns: to 0.003.
+/// correlation of 2¹⁹ readings, a grain apart, of 14 patterns: to 0.003.
 fn textures(motions: &[MotionRow], seed: u64) -> Result<Vec<f64>> {
-    let patterns = 0..8u64;
+    let patterns = 0..14u64;
     let mut sums = vec![0.0; motions.len()];
-    let side = 256;
+    let side = 192;
     for pattern in patterns.clone() {
         let seed = Key::new(seed, Purpose::SpecklePattern).bits(pattern);
-        let spec = scan_patterns(seed, Aperture::Circle);
+        let spec = field_spec(seed, Aperture::Circle);
         let fields = FrameFields::new(&spec, Coherence::FULL)?;
         let readings = |shift: f64, defocus: f64| -> Vec<f64> {
             let shift = DVec2::X * shift;
-            let mut rows = Rows::none(&spec);
-            rows.insert(0.0, spec.size as f64);
-            let field = fields.field(&PupilPlace { shift, defocus }, rows);
-            let place = |i: usize| DVec2::new((i % side) as f64, (i / side) as f64) * 3.97;
+            let field = fields.field(&PupilPlace { shift, defocus });
+            let place = |i: usize| DVec2::new((i % side) as f64, (i / side) as f64) * 2.65;
             let read = |i: usize| field.intensity(place(i)) as f64;
             (0..side * side).map(read).collect()
         };

@@ -75,7 +75,7 @@ fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
         grid: Grid::new(view.samples_per_side as usize),
         speckle: view
             .speckle
-            .map(|speckle| Reader::new(&speckle, view.camera, &pixels)),
+            .map(|speckle| Reader::new(&speckle, view.camera)),
     };
     let tasks = (0..pixels.rows).into_par_iter().step_by(ROWS_PER_TASK);
     let window = || std::array::from_fn(|_| vec![Center::Nothing; pixels.columns]);

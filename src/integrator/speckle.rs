@@ -1,11 +1,9 @@
 //! The speckle of one frame, and how its samples read it.
 
-use super::pixels::Pixels;
-use crate::accel::WIDTH;
 use crate::camera::Camera;
 use crate::math::DVec2;
 use crate::speckle::coordinate::{Coordinate, GrainMap};
-use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, Rows, SlippingField};
+use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, SlippingField};
 use crate::speckle::lookup::Lookup;
 
 /// Speckle patterns, and how they lie over the sensor in one frame.
@@ -74,8 +72,7 @@ enum Source<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// For reading the samples of `pixels`.
-    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera, pixels: &Pixels) -> Reader<'a> {
+    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera) -> Reader<'a> {
         let Speckle {
             patterns,
             map,
@@ -95,10 +92,7 @@ impl<'a> Reader<'a> {
                 fields,
                 place,
                 slip: None,
-            } => {
-                let t = |pixel: DVec2| map.position(camera.screen(pixel), displacement).y;
-                Source::InFocus(fields.field(&place, rows_of(fields, pixels, t)))
-            }
+            } => Source::InFocus(fields.field(&place)),
             Patterns::Frame {
                 fields,
                 place,
@@ -197,27 +191,6 @@ impl PixelReader<'_> {
             _ => lanes.map(|i| self.reader.intensity(self.centre + off(i), self.depth) as f32),
         }
     }
-}
-
-/// The rows of a field that the samples of `pixels` read; `t` gives the row of a
-/// place on the sensor.
-fn rows_of(fields: &FrameFields, pixels: &Pixels, t: impl Fn(DVec2) -> f64) -> Rows {
-    let mut rows = Rows::none(fields.spec());
-    for row in 0..pixels.rows {
-        for first in pixels.blocks(row, 0) {
-            // Within sixteen pixels a tilted sensor's rows bend by 1e-3 texel.
-            let corner = |i: usize| {
-                let (x, y) = (first + i % 2 * WIDTH, row + i / 2);
-                t(DVec2::new(x as f64, y as f64))
-            };
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for t in (0..4).map(corner) {
-                (low, high) = (low.min(t), high.max(t));
-            }
-            rows.insert(low, high);
-        }
-    }
-    rows
 }
 
 /// What depth is in focus where on the sensor.

@@ -21,8 +21,9 @@ pub struct Coordinate {
 /// where h is 10 % off its central value).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GrainMap {
-    /// α₁ at the sensor's origin, texels/mm.
-    alpha: f64,
+    /// α₁ at the sensor's origin, texels/mm, along the direction that the sensor's
+    /// columns have on the pattern.
+    alpha: DVec2,
     /// ∇h/h at the sensor's origin, 1/mm.
     relative_gradient: DVec2,
 }
@@ -33,8 +34,17 @@ impl GrainMap {
     /// an untilted one; `texels_per_speckle` of the pattern's spec.
     pub fn new(texels_per_speckle: f64, grain_mm: f64, gradient: DVec2) -> GrainMap {
         GrainMap {
-            alpha: texels_per_speckle / grain_mm,
+            alpha: DVec2::X * (texels_per_speckle / grain_mm),
             relative_gradient: gradient / grain_mm,
+        }
+    }
+
+    /// The same map onto a pattern on which the sensor's columns run along `turn`
+    /// (unit vector) where they ran along s.
+    pub fn turned(self, turn: DVec2) -> GrainMap {
+        GrainMap {
+            alpha: turn.rotate(self.alpha),
+            ..self
         }
     }
 
@@ -44,13 +54,13 @@ impl GrainMap {
     /// the central α₁, whatever its length, so that it moves grains without
     /// stretching them.
     pub fn position(&self, screen_mm: DVec2, a_i_mm: DVec2) -> DVec2 {
-        self.alpha * (a_i_mm + self.flatten(screen_mm))
+        self.alpha.rotate(a_i_mm + self.flatten(screen_mm))
     }
 
     /// A displacement on the sensor (mm) in texels, as [`position`](Self::position)
     /// adds it.
     pub fn displacement(&self, mm: DVec2) -> DVec2 {
-        self.alpha * mm
+        self.alpha.rotate(mm)
     }
 
     /// Whether grains have one size all over the sensor: then the map is linear.

@@ -8,9 +8,10 @@
 //! of the two places, along both axes of the pupil and over any way; and what a
 //! phase across the pupil does, defocus foremost, is done to the phasors.
 
+use super::coordinate::GrainMap;
 use super::fixed::Fixed;
 use super::lookup::{Coherence, Layer};
-use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
+use super::pattern::{Aperture, Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
 use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
@@ -34,13 +35,24 @@ pub struct PupilPlace {
     pub defocus: f64,
 }
 
+/// What a frame's field is made from: 192² grains, 2 MB.
+pub fn field_spec(seed: u64, aperture: Aperture) -> PatternSpec {
+    PatternSpec {
+        size: 512,
+        texels_per_speckle: 8.0 / 3.0,
+        aperture,
+        seed,
+        ..PatternSpec::default()
+    }
+}
+
 /// Makes the fields of frames; `spec.slices` is not used. The independent patterns
 /// of partly coherent light are one field read at places far apart, where it has
 /// nothing in common: their sum repeats, at 1/n of its variance, at the distances
 /// between these.
 ///
-/// One of 1024² takes 4 ms on one core and 8 MB, less for the rows alone that a
-/// frame reads.
+/// A field repeats after N texels along its own axes, and the sensor's lie at an angle
+/// to them ([`FrameFields::map`]): along its rows and columns it does not repeat.
 pub struct FrameFields {
     spec: PatternSpec,
     plane: PhasorPlane,
@@ -50,36 +62,10 @@ pub struct FrameFields {
     layers: Vec<Layer>,
 }
 
-/// Rows of a field that will be read.
-pub struct Rows {
-    /// By groups of [`ROWS`].
-    needed: Vec<bool>,
-}
-
-impl Rows {
-    pub fn none(spec: &PatternSpec) -> Rows {
-        Rows {
-            needed: vec![false; spec.size / ROWS],
-        }
-    }
-
-    /// What readings at t from `a` to `b` (texels) take.
-    pub fn insert(&mut self, a: f64, b: f64) {
-        let groups = self.needed.len();
-        // One texel for what lies between, one for the tap below.
-        let first = ((a.min(b) - 1.0) / ROWS as f64).floor();
-        let last = ((a.max(b) + 2.0) / ROWS as f64).floor();
-        let count = (last - first).min(groups as f64 - 1.0) as usize;
-        let first = first.rem_euclid(groups as f64) as usize;
-        for k in first..=first + count {
-            self.needed[k % groups] = true;
-        }
-    }
-
-    fn insert_all(&mut self) {
-        self.needed.fill(true);
-    }
-}
+/// Direction of the sensor's columns on the field: its slope is the golden ratio's
+/// inverse, which no ratio of small whole numbers comes near. A line a tenth of the
+/// period thick meets its own grains again after five periods.
+const TURN: DVec2 = DVec2::new(0.850_650_808_352_039_9, 0.525_731_112_119_133_6);
 
 impl FrameFields {
     /// # Errors
@@ -87,7 +73,7 @@ impl FrameFields {
     pub fn new(spec: &PatternSpec, coherence: Coherence) -> Result<FrameFields> {
         spec.validate()?;
         coherence.validate()?;
-        let plane = PhasorPlane::new(spec);
+        let plane = PhasorPlane::turned(spec, TURN);
         let reach = plane.reach();
         let [column, row] = plane.sharpened_correlations();
         Ok(FrameFields {
@@ -99,49 +85,47 @@ impl FrameFields {
         })
     }
 
-    pub fn spec(&self) -> &PatternSpec {
-        &self.spec
+    /// How fields lie over a sensor; as [`GrainMap::new`].
+    pub fn map(&self, grain_mm: f64, gradient: DVec2) -> GrainMap {
+        GrainMap::new(self.spec.texels_per_speckle, grain_mm, gradient).turned(TURN)
     }
 
-    /// The field at `place`, made in the given rows at least.
-    pub fn field(&self, place: &PupilPlace, mut rows: Rows) -> FrameField {
-        if self.layers.len() > 1 {
-            rows.insert_all();
-        }
-        self.part(place, &rows, |_| true)
+    /// The field at `place`.
+    pub fn field(&self, place: &PupilPlace) -> FrameField {
+        self.part(place, |_| true)
     }
 
     /// The field at `place`, to be read where it slips along the pupil's way, whose
-    /// direction over the field is `along` (unit vector).
+    /// direction is `along` (unit vector).
     pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField {
         let width = self.spec.aperture.extent();
         let way = place.shift.dot(along);
         let first = (way / width - 0.5).floor();
-        let mut rows = Rows::none(&self.spec);
-        rows.insert_all();
+        let turned = TURN.rotate(along);
         let strips = [first, first + 1.0].map(|strip| {
             let low = strip * width;
-            let inside = |q: DVec2| (low..low + width).contains(&q.dot(along));
-            (self.part(place, &rows, inside), low + width / 2.0 - way)
+            let inside = |q: DVec2| (low..low + width).contains(&q.dot(turned));
+            (self.part(place, inside), low + width / 2.0 - way)
         });
         let [near, far] = [&strips[0], &strips[1]].map(|(_, middle)| middle * middle);
         SlippingField {
             strips,
-            turn: along * (PI / self.spec.texels_per_speckle * (far - near)),
+            turn: turned * (PI / self.spec.texels_per_speckle * (far - near)),
         }
     }
 
     /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(&self, place: &PupilPlace, rows: &Rows, keep: impl Fn(DVec2) -> bool) -> FrameField {
+    fn part(&self, place: &PupilPlace, keep: impl Fn(DVec2) -> bool) -> FrameField {
         let width = self.spec.pupil_width();
-        let centre = place.shift * width;
+        let shift = TURN.rotate(place.shift);
+        let centre = shift * width;
         let origin = carrier(centre);
         let [x, y] = [0, 1].map(|axis| {
             let from_centre = origin[axis] as f64 - centre[axis];
             let factor = |(k, sharpening): (usize, &f64)| {
                 let offset = k as f64 - self.plane.reach() as f64;
                 let p = (offset + from_centre) / width;
-                let phase = 4.0 * place.defocus * p * (p + place.shift[axis]);
+                let phase = 4.0 * place.defocus * p * (p + shift[axis]);
                 Complex32::new(
                     (sharpening * phase.cos()) as f32,
                     (sharpening * phase.sin()) as f32,
@@ -152,25 +136,23 @@ impl FrameFields {
         });
         let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64) / width);
         let columns = self.plane.columns(centre, [&x, &y], keep);
-        self.transform(&columns, rows)
+        self.transform(&columns)
     }
 
-    fn transform(&self, columns: &Columns, rows: &Rows) -> FrameField {
+    fn transform(&self, columns: &Columns) -> FrameField {
         let size = self.spec.size;
         let stride = size + 1;
         let mut texels = vec![Complex32::ZERO; size * stride];
         let blocks = texels.par_chunks_exact_mut(ROWS * stride).enumerate();
-        blocks
-            .filter(|(block, _)| rows.needed[*block])
-            .for_each_init(
-                || self.plane.scratch(),
-                |scratch, (block, texels)| {
-                    let mut rows = rows_of(texels, stride);
-                    let period = rows.each_mut().map(|row| &mut row[..size]);
-                    self.plane.rows(columns, block, period, scratch);
-                    rows.into_iter().for_each(|row| row[size] = row[0]);
-                },
-            );
+        blocks.for_each_init(
+            || self.plane.scratch(),
+            |scratch, (block, texels)| {
+                let mut rows = rows_of(texels, stride);
+                let period = rows.each_mut().map(|row| &mut row[..size]);
+                self.plane.rows(columns, block, period, scratch);
+                rows.into_iter().for_each(|row| row[size] = row[0]);
+            },
+        );
         FrameField {
             size_mask: size - 1,
             stride,
@@ -199,7 +181,7 @@ pub struct FrameField {
 }
 
 impl FrameField {
-    /// Speckle intensity at (s, t) in texels, mean 1; rows must have been made.
+    /// Speckle intensity at (s, t) in texels, mean 1.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2) -> f32 {
         let layer = |at| {

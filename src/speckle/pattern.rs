@@ -150,6 +150,8 @@ impl Pattern {
 /// texel to texel, seen through a pupil that may be placed anywhere on it.
 pub struct PhasorPlane {
     spec: PatternSpec,
+    /// The direction on the plane of the pupil's width.
+    turn: DVec2,
     key: Key,
     /// The phases phasors have: equal steps round the circle, many enough that a
     /// sum of a few of them is as random as with any phase, and few enough for
@@ -176,8 +178,14 @@ pub(super) const ROWS: usize = 8;
 impl PhasorPlane {
     /// `spec` must have passed [`PatternSpec::validate`].
     pub fn new(spec: &PatternSpec) -> PhasorPlane {
+        PhasorPlane::turned(spec, DVec2::X)
+    }
+
+    /// One on which the pupil's width lies along `turn` (unit vector).
+    pub(super) fn turned(spec: &PatternSpec, turn: DVec2) -> PhasorPlane {
         PhasorPlane {
             spec: *spec,
+            turn,
             key: Key::new(spec.seed, Purpose::SpecklePattern),
             phases: (0..1 << PHASE_BITS)
                 .map(|k| std::f64::consts::TAU * k as f64 / (1 << PHASE_BITS) as f64)
@@ -198,14 +206,16 @@ impl PhasorPlane {
         let width = self.spec.pupil_width();
         let height = width * self.spec.aperture.ratio();
         let offset = DVec2::new(x as f64, y as f64) - centre;
+        let back = DVec2::new(self.turn.x, -self.turn.y);
+        let turned = back.rotate(offset);
         self.spec
             .aperture
-            .contains(offset / DVec2::new(width, height))
+            .contains(turned / DVec2::new(width, height))
     }
 
     /// Offsets from the carrier a pupil can reach, plus rounding of the carrier.
     pub(super) fn reach(&self) -> i64 {
-        (self.spec.pupil_width() / 2.0) as i64 + 1
+        (self.spec.pupil_width() * self.spec.aperture.extent() / 2.0) as i64 + 1
     }
 
     /// Phasors two placements of the pupil have in common. Over one period
