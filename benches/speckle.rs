@@ -1,6 +1,6 @@
-//! Cost of one speckle reading, per method, along a row of the demo's samples (a
-//! third of a pixel apart, 1.25 texels of a ring, 0.83 of a frame's field); of making a frame's field; and of making
-//! a ring of slices. Each answer is checked.
+//! Cost of one speckle reading, per method, over the samples of a row of the demo's
+//! pixels, three by three a pixel; of making a frame's field; and of making a ring of
+//! slices. Each answer is checked.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lasertrace::math::DVec2;
@@ -8,41 +8,43 @@ use lasertrace::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use std::hint::black_box;
+use wide::f32x4;
 
-/// Three samples to each of the demo's columns.
-const SAMPLES: usize = 3 * 1280;
+/// The demo's pixels in a row.
+const PIXELS: usize = 1280;
+/// Texels of a ring between a third of a pixel and the next.
 const STEP: f64 = 1.25;
+const SAMPLES: usize = 9;
 
 /// Sum of the readings along a row at `t`, which rises a little as on a tilted
-/// sensor; four at a time, as pixels take them.
+/// sensor; `read` adds up a pixel's.
 #[inline(always)]
-fn row_sum(t: f64, read: impl Fn([DVec2; 4]) -> [f32; 4]) -> f64 {
-    let place = |i: usize| DVec2::new(STEP * i as f64, t + 0.003 * i as f64);
-    (0..SAMPLES)
-        .step_by(4)
-        .map(|i| {
-            let read = read([i, i + 1, i + 2, i + 3].map(place));
-            read.iter().sum::<f32>() as f64
-        })
-        .sum()
+fn row_sum(t: f64, read: impl Fn(DVec2) -> f32) -> f64 {
+    let place = |i: usize| DVec2::new(3.0 * STEP * i as f64, t + 0.01 * i as f64);
+    (0..PIXELS).map(|i| read(place(i)) as f64).sum()
 }
 
-fn readings<F: Fn([DVec2; 4]) -> [f32; 4]>(c: &mut Criterion, name: &str, read: F) {
-    // 256 rows hold 9e5 readings of some 6e4 independent grains: their mean strays
-    // from 1 by 0.004 (one standard deviation, contrast 1).
+fn readings(c: &mut Criterion, name: &str, read: impl Fn(DVec2) -> f32) {
+    // 256 rows hold 3e6 readings of some 6e4 independent grains (3e4 of a frame's
+    // field): their mean strays from 1 by 0.006 (one standard deviation, contrast 1).
     let rows = (0..256).map(|row| row_sum(4.03 * row as f64, &read));
-    let mean = rows.sum::<f64>() / (256 * SAMPLES) as f64;
+    let mean = rows.sum::<f64>() / (256 * PIXELS * SAMPLES) as f64;
     assert!((mean - 1.0).abs() < 0.02, "{name}: mean {mean}");
     let mut group = c.benchmark_group("lookup");
-    group.throughput(Throughput::Elements(SAMPLES as u64));
+    group.throughput(Throughput::Elements((PIXELS * SAMPLES) as u64));
     let mut t = 0.0;
     group.bench_function(name, |b| {
         b.iter(|| {
-            t += 1.25;
+            t += 3.0 * STEP;
             row_sum(black_box(t), black_box(&read))
         })
     });
     group.finish();
+}
+
+/// The place of a pixel's sample from its centre, texels of a ring.
+fn offset(i: usize) -> DVec2 {
+    (DVec2::new((i % 3) as f64, (i / 3) as f64) - 1.0) * STEP
 }
 
 const PLACE: PupilPlace = PupilPlace {
@@ -62,8 +64,25 @@ fn lookups(c: &mut Criterion) {
     let fields = frame_fields();
     let field = fields.field(&PLACE);
     let map = fields.map(4.0, DVec2::ZERO);
+    readings(c, "field of a frame, each", |at| {
+        let at = map.displacement(at);
+        let read = |i| field.intensity(at + map.displacement(offset(i)));
+        (0..SAMPLES).map(read).sum()
+    });
+    let fours = [0, 4, 8].map(|first| {
+        let lanes = [0, 1, 2, 3].map(|k| first + k);
+        let places = lanes.map(|i| map.displacement(offset(i)).as_vec2());
+        let weights = lanes.map(|i| f32::from(u8::from(i < SAMPLES)));
+        (
+            f32x4::from(places.map(|p| p.x)),
+            f32x4::from(places.map(|p| p.y)),
+            f32x4::from(weights),
+        )
+    });
     readings(c, "field of a frame", |at| {
-        at.map(|at| field.intensity(map.displacement(at)))
+        let at = map.displacement(at);
+        let four = |&(s, t, weights)| weights * field.around(at, s, t);
+        fours.iter().map(four).sum::<f32x4>().reduce_add()
     });
     for (name, method) in [
         ("ring, trilinear", Method::Trilinear),
@@ -73,7 +92,11 @@ fn lookups(c: &mut Criterion) {
         let lookup = Lookup::new(&spec, method, Coherence::FULL).unwrap();
         println!("{name}: {} MB", lookup.memory() / 1_000_000);
         readings(c, name, |at| {
-            at.map(|DVec2 { x: s, y: t }| lookup.intensity(Coordinate { s, t, u: 7.9 }))
+            let read = |i| {
+                let DVec2 { x: s, y: t } = at + offset(i);
+                lookup.intensity(Coordinate { s, t, u: 7.9 })
+            };
+            (0..SAMPLES).map(read).sum()
         });
     }
 }

@@ -9,8 +9,8 @@ use wide::f32x4;
 /// Four of a pixel's samples.
 pub(super) struct Four {
     /// From the pixel's centre, pixels.
-    pub columns: [f32; 4],
-    pub rows: [f32; 4],
+    columns: f32x4,
+    rows: f32x4,
     /// One, and zero for those that only fill up the last four.
     weights: f32x4,
 }
@@ -28,8 +28,8 @@ impl Grid {
         let four = |first: usize| {
             let lanes = [0, 1, 2, 3].map(|k| first + k);
             Four {
-                columns: lanes.map(|i| place(i % side) as f32),
-                rows: lanes.map(|i| place(i / side % side) as f32),
+                columns: lanes.map(|i| place(i % side) as f32).into(),
+                rows: lanes.map(|i| place(i / side % side) as f32).into(),
                 weights: lanes.map(|i| f32::from(u8::from(i < count))).into(),
             }
         };
@@ -71,9 +71,7 @@ impl Grid {
         let sum: f32x4 = match speckle.map(|reader| reader.pixel(centre, light.depth)) {
             None => shares.map(|(four, shares)| four.weights * shares).sum(),
             Some(reader) => shares
-                .map(|(four, shares)| {
-                    four.weights * shares * f32x4::from(reader.four(&four.columns, &four.rows))
-                })
+                .map(|(four, shares)| four.weights * shares * reader.four(four.columns, four.rows))
                 .sum(),
         };
         sum.reduce_add() as f64 / self.count() as f64
@@ -124,7 +122,7 @@ impl Profile {
 
     #[inline(always)]
     fn shares(&self, four: &Four) -> f32x4 {
-        let (x, y) = (f32x4::from(four.columns), f32x4::from(four.rows));
+        let (x, y) = (four.columns, four.rows);
         let [by_x, by_y] = self.denominator;
         // Where a pixel reaches past the plane's horizon nothing of it is seen.
         let denominator = (1.0 + x * by_x + y * by_y).max(f32x4::splat(1e-6));

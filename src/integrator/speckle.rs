@@ -5,6 +5,7 @@ use crate::math::DVec2;
 use crate::speckle::coordinate::{Coordinate, GrainMap};
 use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, SlippingField};
 use crate::speckle::lookup::Lookup;
+use wide::f32x4;
 
 /// Speckle patterns, and how they lie over the sensor in one frame.
 #[derive(Clone, Copy)]
@@ -180,15 +181,20 @@ pub(super) struct PixelReader<'a> {
 impl PixelReader<'_> {
     /// Intensities, mean 1, so many columns and rows from the pixel's centre.
     #[inline(always)]
-    pub fn four(&self, columns: &[f32; 4], rows: &[f32; 4]) -> [f32; 4] {
-        let lanes = [0, 1, 2, 3];
-        let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
+    pub fn four(&self, columns: f32x4, rows: f32x4) -> f32x4 {
         match &self.reader.source {
-            Source::InFocus(field) => lanes.map(|i| {
-                let off = off(i);
-                field.intensity(self.at + self.steps[0] * off.x + self.steps[1] * off.y)
-            }),
-            _ => lanes.map(|i| self.reader.intensity(self.centre + off(i), self.depth) as f32),
+            Source::InFocus(field) => {
+                let [by_column, by_row] = self.steps.map(|step| step.as_vec2());
+                let s = columns * by_column.x + rows * by_row.x;
+                let t = columns * by_column.y + rows * by_row.y;
+                field.around(self.at, s, t)
+            }
+            _ => {
+                let (columns, rows) = (columns.to_array(), rows.to_array());
+                let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
+                let read = |i| self.reader.intensity(self.centre + off(i), self.depth) as f32;
+                [0, 1, 2, 3].map(read).into()
+            }
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Coordinates as integers: wrapping is masking, and neither `floor` nor a
 //! checked cast, calls and branches on baseline x86-64, is in the hot loop.
 
+use wide::{f32x4, i32x4};
+
 /// A coordinate in steps of 2⁻²⁰, rounded to nearest; its upper bits are
 /// meaningless. For |x| < 2³⁰.
 #[derive(Debug, Clone, Copy)]
@@ -8,6 +10,8 @@ pub struct Fixed(u64);
 
 /// Bits after the point.
 pub const FRACTION_BITS: u32 = 20;
+/// Of four coordinates together.
+const FOURS_BITS: u32 = 19;
 
 impl Fixed {
     #[inline(always)]
@@ -38,6 +42,34 @@ impl Fixed {
     }
 }
 
+/// Four coordinates together, in steps of 2⁻¹⁹, modulo 2¹³.
+#[derive(Clone, Copy)]
+pub struct FixedFour(i32x4);
+
+impl FixedFour {
+    /// `around` + `offsets`, which are finite and less than 2¹² in size.
+    #[inline(always)]
+    pub fn new(around: Fixed, offsets: f32x4) -> FixedFour {
+        let around = (around.0 >> (FRACTION_BITS - FOURS_BITS)) as i32;
+        let steps = offsets * (1 << FOURS_BITS) as f32;
+        FixedFour(i32x4::splat(around) + steps.fast_round_int())
+    }
+
+    /// ⌊x⌋ modulo `mask` + 1, a power of two up to 2¹³.
+    #[inline(always)]
+    pub fn indices(self, mask: usize) -> [usize; 4] {
+        let indices = (self.0 >> FOURS_BITS) & i32x4::splat(mask as i32);
+        indices.to_array().map(|index| index as usize)
+    }
+
+    /// x − ⌊x⌋.
+    #[inline(always)]
+    pub fn fractions(self) -> f32x4 {
+        let bits = self.0 & i32x4::splat((1 << FOURS_BITS) - 1);
+        bits.round_float() * (1.0 / (1 << FOURS_BITS) as f32)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -62,6 +94,21 @@ mod tests {
                 "{x}"
             );
             assert_eq!(fixed.fraction() as f64, x - x.floor(), "{x}");
+        }
+    }
+
+    #[test]
+    fn four_are_like_each() {
+        for x in [0.25, 8191.75, -0.5, 1e6 + 0.5] {
+            let offsets = [0.0, 0.75, -3.5, 1000.25];
+            let four = FixedFour::new(Fixed::new(x), f32x4::from(offsets));
+            let each = offsets.map(|offset| Fixed::new(x + offset as f64));
+            assert_eq!(four.indices(8191), each.map(|x| x.index(8191)), "{x}");
+            assert_eq!(
+                four.fractions().to_array(),
+                each.map(Fixed::fraction),
+                "{x}"
+            );
         }
     }
 }

@@ -9,7 +9,7 @@
 //! phase across the pupil does, defocus foremost, is done to the phasors.
 
 use super::coordinate::GrainMap;
-use super::fixed::Fixed;
+use super::fixed::{Fixed, FixedFour};
 use super::lookup::{Coherence, Layer};
 use super::pattern::{Aperture, Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
@@ -18,6 +18,7 @@ use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;
+use wide::f32x4;
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -195,6 +196,43 @@ impl FrameField {
         sum
     }
 
+    /// The same at four places, `s` and `t` texels (less than 2¹²) from `at`; differs
+    /// by rounding.
+    #[inline(always)]
+    pub fn around(&self, at: DVec2, s: f32x4, t: f32x4) -> f32x4 {
+        let mut sum = self.first_weight * self.powers(at, s, t);
+        for &(weight, offset) in &self.further_layers {
+            sum += weight * self.powers(at + offset, s, t);
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn powers(&self, at: DVec2, s: f32x4, t: f32x4) -> f32x4 {
+        let s = FixedFour::new(Fixed::new(at.x), s);
+        let t = FixedFour::new(Fixed::new(at.y), t);
+        let (columns, rows) = (s.indices(self.size_mask), t.indices(self.size_mask));
+        let (fs, ft) = (s.fractions(), t.fractions());
+        let down = ft.to_array();
+        let sides = [0, 1, 2, 3].map(|i| {
+            let below = (rows[i] + 1) & self.size_mask;
+            let top = self.pair(rows[i], columns[i]);
+            let sides = top + down[i] * (self.pair(below, columns[i]) - top);
+            f32x4::from(sides.to_array())
+        });
+        let [re, im, right_re, right_im] = f32x4::transpose(sides);
+        let (re, im) = (re + fs * (right_re - re), im + fs * (right_im - im));
+        let kept = |f: f32x4, lost: f32| 1.0 - f * (1.0 - f) * lost;
+        (re * re + im * im) / (kept(fs, self.lost.x) * kept(ft, self.lost.y))
+    }
+
+    /// Two neighbours of a row.
+    #[inline(always)]
+    fn pair(&self, row: usize, column: usize) -> Vec4 {
+        let pair = &self.texels[row * self.stride + column..][..2];
+        Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
+    }
+
     /// The blend of four texels, and what to multiply its power by for the variance
     /// that blending lost.
     #[inline(always)]
@@ -206,11 +244,7 @@ impl FrameField {
         let (fs, ft) = (s.fraction(), t.fraction());
         let gain =
             1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
-        let taps = |row: usize| {
-            let pair = &self.texels[row * self.stride + column..][..2];
-            Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
-        };
-        let (top, bottom) = (taps(row), taps(below));
+        let (top, bottom) = (self.pair(row, column), self.pair(below, column));
         let sides = top + ft * (bottom - top);
         (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
     }
