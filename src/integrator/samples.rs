@@ -11,7 +11,9 @@ pub(super) struct Four {
     /// From the pixel's centre, pixels.
     columns: f32x4,
     rows: f32x4,
-    /// One, and zero for those that only fill up the last four.
+    /// Those after the first so many only fill up the last four.
+    count: usize,
+    /// One, and zero for these.
     weights: f32x4,
 }
 
@@ -30,6 +32,7 @@ impl Grid {
             Four {
                 columns: lanes.map(|i| place(i % side) as f32).into(),
                 rows: lanes.map(|i| place(i / side % side) as f32).into(),
+                count: (count - first).min(4),
                 weights: lanes.map(|i| f32::from(u8::from(i < count))).into(),
             }
         };
@@ -71,7 +74,9 @@ impl Grid {
         let sum: f32x4 = match speckle.map(|reader| reader.pixel(centre, light.depth)) {
             None => shares.map(|(four, shares)| four.weights * shares).sum(),
             Some(reader) => shares
-                .map(|(four, shares)| four.weights * shares * reader.four(four.columns, four.rows))
+                .map(|(four, shares)| {
+                    four.weights * shares * reader.four(four.columns, four.rows, four.count)
+                })
                 .sum(),
         };
         sum.reduce_add() as f64 / self.count() as f64

@@ -179,15 +179,16 @@ pub(super) struct PixelReader<'a> {
 }
 
 impl PixelReader<'_> {
-    /// Intensities, mean 1, so many columns and rows from the pixel's centre.
+    /// Intensities, mean 1, at the first `count` of four places so many columns and rows
+    /// from the pixel's centre; what others give is of no use.
     #[inline(always)]
-    pub fn four(&self, columns: f32x4, rows: f32x4) -> f32x4 {
+    pub fn four(&self, columns: f32x4, rows: f32x4, count: usize) -> f32x4 {
         match &self.reader.source {
             Source::InFocus(field) => {
                 let [by_column, by_row] = self.steps.map(|step| step.as_vec2());
                 let s = columns * by_column.x + rows * by_row.x;
                 let t = columns * by_column.y + rows * by_row.y;
-                field.around(self.at, s, t)
+                field.around(self.at, s, t, count)
             }
             _ => {
                 let (columns, rows) = (columns.to_array(), rows.to_array());

@@ -4,7 +4,7 @@ pub mod frames;
 pub mod rng;
 
 pub use frames::Rigid;
-pub use glam::{DMat3, DVec2, DVec3};
+pub use glam::{DMat2, DMat3, DVec2, DVec3};
 
 /// Axis-aligned box, in the unit of its points. Empty when `min > max`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]

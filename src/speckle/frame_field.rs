@@ -143,8 +143,9 @@ impl FrameFields {
     fn transform(&self, columns: &Columns) -> FrameField {
         let size = self.spec.size;
         let stride = size + 1;
-        let mut texels = vec![Complex32::ZERO; size * stride];
-        let blocks = texels.par_chunks_exact_mut(ROWS * stride).enumerate();
+        let mut texels = vec![Complex32::ZERO; stride * stride];
+        let (period, last) = texels.split_at_mut(size * stride);
+        let blocks = period.par_chunks_exact_mut(ROWS * stride).enumerate();
         blocks.for_each_init(
             || self.plane.scratch(),
             |scratch, (block, texels)| {
@@ -154,6 +155,7 @@ impl FrameFields {
                 rows.into_iter().for_each(|row| row[size] = row[0]);
             },
         );
+        last.copy_from_slice(&period[..stride]);
         FrameField {
             size_mask: size - 1,
             stride,
@@ -170,7 +172,8 @@ impl FrameFields {
 /// A field in memory, read by linear interpolation.
 pub struct FrameField {
     size_mask: usize,
-    /// Texels per row: one more than the period, so that the right tap never wraps.
+    /// Texels per row, and rows: one more than the period, so that the taps to the
+    /// right and below never wrap.
     stride: usize,
     texels: Vec<Complex32>,
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
@@ -196,41 +199,48 @@ impl FrameField {
         sum
     }
 
-    /// The same at four places, `s` and `t` texels (less than 2¹²) from `at`; differs
-    /// by rounding.
+    /// The same at the first `count` of four places, `s` and `t` texels (less than 2¹²)
+    /// from `at`; differs by rounding. Zero at the others.
     #[inline(always)]
-    pub fn around(&self, at: DVec2, s: f32x4, t: f32x4) -> f32x4 {
-        let mut sum = self.first_weight * self.powers(at, s, t);
+    pub fn around(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
+        let mut sum = self.first_weight * self.powers(at, s, t, count);
         for &(weight, offset) in &self.further_layers {
-            sum += weight * self.powers(at + offset, s, t);
+            sum += weight * self.powers(at + offset, s, t, count);
         }
         sum
     }
 
     #[inline(always)]
-    fn powers(&self, at: DVec2, s: f32x4, t: f32x4) -> f32x4 {
+    fn powers(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
         let s = FixedFour::new(Fixed::new(at.x), s);
         let t = FixedFour::new(Fixed::new(at.y), t);
         let (columns, rows) = (s.indices(self.size_mask), t.indices(self.size_mask));
         let (fs, ft) = (s.fractions(), t.fractions());
         let down = ft.to_array();
-        let sides = [0, 1, 2, 3].map(|i| {
-            let below = (rows[i] + 1) & self.size_mask;
-            let top = self.pair(rows[i], columns[i]);
-            let sides = top + down[i] * (self.pair(below, columns[i]) - top);
+        let sides = |i: usize| {
+            if i >= count {
+                return f32x4::ZERO;
+            }
+            let (top, bottom) = self.pairs(rows[i], columns[i]);
+            let sides = top + down[i] * (bottom - top);
             f32x4::from(sides.to_array())
-        });
+        };
+        let sides = [sides(0), sides(1), sides(2), sides(3)];
         let [re, im, right_re, right_im] = f32x4::transpose(sides);
         let (re, im) = (re + fs * (right_re - re), im + fs * (right_im - im));
         let kept = |f: f32x4, lost: f32| 1.0 - f * (1.0 - f) * lost;
         (re * re + im * im) / (kept(fs, self.lost.x) * kept(ft, self.lost.y))
     }
 
-    /// Two neighbours of a row.
+    /// A texel with its neighbour to the right, and those below.
     #[inline(always)]
-    fn pair(&self, row: usize, column: usize) -> Vec4 {
-        let pair = &self.texels[row * self.stride + column..][..2];
-        Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
+    fn pairs(&self, row: usize, column: usize) -> (Vec4, Vec4) {
+        let pair = |at: usize| {
+            let pair = &self.texels[at..][..2];
+            Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
+        };
+        let top = row * self.stride + column;
+        (pair(top), pair(top + self.stride))
     }
 
     /// The blend of four texels, and what to multiply its power by for the variance
@@ -239,12 +249,11 @@ impl FrameField {
     fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
         let (s, t) = (Fixed::new(at.x), Fixed::new(at.y));
         let row = t.index(self.size_mask);
-        let below = (row + 1) & self.size_mask;
         let column = s.index(self.size_mask);
         let (fs, ft) = (s.fraction(), t.fraction());
         let gain =
             1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
-        let (top, bottom) = (self.pair(row, column), self.pair(below, column));
+        let (top, bottom) = self.pairs(row, column);
         let sides = top + ft * (bottom - top);
         (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
     }

@@ -10,8 +10,8 @@
 
 use super::theory::sinc;
 use crate::error::{Error, Result};
-use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
+use crate::math::{DMat2, DVec2};
 use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
@@ -150,8 +150,8 @@ impl Pattern {
 /// texel to texel, seen through a pupil that may be placed anywhere on it.
 pub struct PhasorPlane {
     spec: PatternSpec,
-    /// The direction on the plane of the pupil's width.
-    turn: DVec2,
+    /// From texels to pupil widths and heights.
+    to_pupil: DMat2,
     key: Key,
     /// The phases phasors have: equal steps round the circle, many enough that a
     /// sum of a few of them is as random as with any phase, and few enough for
@@ -183,9 +183,12 @@ impl PhasorPlane {
 
     /// One on which the pupil's width lies along `turn` (unit vector).
     pub(super) fn turned(spec: &PatternSpec, turn: DVec2) -> PhasorPlane {
+        let width = spec.pupil_width();
+        let size = DVec2::new(width, width * spec.aperture.ratio());
         PhasorPlane {
             spec: *spec,
-            turn,
+            to_pupil: DMat2::from_diagonal(size.recip())
+                * DMat2::from_cols(turn, turn.perp()).transpose(),
             key: Key::new(spec.seed, Purpose::SpecklePattern),
             phases: (0..1 << PHASE_BITS)
                 .map(|k| std::f64::consts::TAU * k as f64 / (1 << PHASE_BITS) as f64)
@@ -203,14 +206,8 @@ impl PhasorPlane {
 
     /// Whether the pupil centred at `centre` (texels) lets texel (x, y) pass.
     pub(super) fn open(&self, centre: DVec2, x: i64, y: i64) -> bool {
-        let width = self.spec.pupil_width();
-        let height = width * self.spec.aperture.ratio();
         let offset = DVec2::new(x as f64, y as f64) - centre;
-        let back = DVec2::new(self.turn.x, -self.turn.y);
-        let turned = back.rotate(offset);
-        self.spec
-            .aperture
-            .contains(turned / DVec2::new(width, height))
+        self.spec.aperture.contains(self.to_pupil * offset)
     }
 
     /// Offsets from the carrier a pupil can reach, plus rounding of the carrier.
@@ -315,7 +312,8 @@ impl PhasorPlane {
                     power += factor.norm_sqr();
                     phasors += 1;
                     if keep(x, y) {
-                        line[dy.rem_euclid(size as i64) as usize] = self.phasor(x, y) * factor;
+                        // Wraps, since the size is a power of two.
+                        line[dy as usize & (size - 1)] = self.phasor(x, y) * factor;
                     }
                 }
             }
@@ -339,7 +337,7 @@ impl PhasorPlane {
     ) {
         let size = self.spec.size;
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
-            let column = dx.rem_euclid(size as i64) as usize;
+            let column = dx as usize & (size - 1);
             let values = &line[ROWS * block..][..ROWS];
             for (row, value) in rows.iter_mut().zip(values) {
                 row[column] = value * columns.scale;

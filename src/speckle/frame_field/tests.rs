@@ -71,7 +71,9 @@ fn four_readings_are_those_of_each() {
     let field = fields.field(&place(0.7, -0.1, 2.0));
     let (s, t) = ([0.0, 0.3, -2.1, 3.7], [0.0, -1.4, 0.2, 2.9]);
     for at in grid(40).map(|at| 20.0 * at - 9000.3) {
-        let four = field.around(at, s.into(), t.into()).to_array();
+        let four = field.around(at, s.into(), t.into(), 4).to_array();
+        let three = field.around(at, s.into(), t.into(), 3).to_array();
+        assert_eq!(three, [four[0], four[1], four[2], 0.0]);
         for i in 0..4 {
             let one = field.intensity(at + DVec2::new(s[i] as f64, t[i] as f64));
             assert!((four[i] - one).abs() < 1e-4, "{at} {i}: {} {one}", four[i]);
