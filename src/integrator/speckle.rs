@@ -52,8 +52,9 @@ pub(super) struct Reader<'a> {
     camera: &'a Camera,
     map: GrainMap,
     displacement: DVec2,
-    /// Texels by column and by row, where they are the same all over the sensor.
-    steps: Option<[DVec2; 2]>,
+    /// (s, t) of the sensor's corner and texels by column and by row, where these are
+    /// the same all over the sensor.
+    even: Option<(DVec2, [DVec2; 2])>,
     source: Source<'a>,
 }
 
@@ -105,11 +106,12 @@ impl<'a> Reader<'a> {
             },
         };
         let step = |mm: DVec2| map.displacement(mm * camera.sensor.pixel_pitch);
+        let corner = map.position(camera.screen(DVec2::ZERO), displacement);
         Reader {
             camera,
             map,
             displacement,
-            steps: map.is_even().then(|| [DVec2::X, DVec2::Y].map(step)),
+            even: (map.is_even()).then(|| (corner, [DVec2::X, DVec2::Y].map(step))),
             source,
         }
     }
@@ -145,6 +147,9 @@ impl<'a> Reader<'a> {
     /// (s, t) of a place on the sensor.
     #[inline(always)]
     fn at(&self, place: DVec2) -> DVec2 {
+        if let Some((corner, [by_column, by_row])) = self.even {
+            return corner + by_column * place.x + by_row * place.y;
+        }
         let screen = self.camera.screen(place);
         self.map.position(screen, self.displacement)
     }
@@ -154,8 +159,8 @@ impl<'a> Reader<'a> {
     #[inline(always)]
     pub fn pixel(&self, centre: DVec2, depth: f64) -> PixelReader<'_> {
         let at = self.at(centre);
-        let steps = match self.steps {
-            Some(steps) => steps,
+        let steps = match self.even {
+            Some((_, steps)) => steps,
             None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
         };
         PixelReader {

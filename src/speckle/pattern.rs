@@ -305,16 +305,22 @@ impl PhasorPlane {
         let (mut phasors, mut power) = (0, 0f32);
         let columns = lines.chunks_exact_mut(size).zip(factors[0]);
         for ((line, fx), dx) in columns.zip(-reach..) {
-            for (fy, dy) in factors[1].iter().zip(-reach..) {
-                let (x, y) = (origin[0] + dx, origin[1] + dy);
-                if self.open(centre, x, y) {
-                    let factor = fx * fy;
-                    power += factor.norm_sqr();
-                    phasors += 1;
-                    if keep(x, y) {
-                        // Wraps, since the size is a power of two.
-                        line[dy as usize & (size - 1)] = self.phasor(x, y) * factor;
-                    }
+            let x = origin[0] + dx;
+            let open = |dy: &i64| self.open(centre, x, origin[1] + dy);
+            // Apertures are convex: all between the ends is open.
+            let Some(first) = (-reach..=reach).find(open) else {
+                continue;
+            };
+            let last = (first..=reach).rfind(open).unwrap_or(first);
+            let rows = (first + reach) as usize..=(last + reach) as usize;
+            for (fy, dy) in factors[1][rows].iter().zip(first..) {
+                let y = origin[1] + dy;
+                let factor = fx * fy;
+                power += factor.norm_sqr();
+                phasors += 1;
+                if keep(x, y) {
+                    // Wraps, since the size is a power of two.
+                    line[dy as usize & (size - 1)] = self.phasor(x, y) * factor;
                 }
             }
         }
