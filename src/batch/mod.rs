@@ -9,6 +9,8 @@ mod journal;
 mod measure;
 mod peak_image;
 mod peaks;
+mod pilot;
+mod planner;
 mod render;
 mod report;
 mod scan;
@@ -26,6 +28,7 @@ pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_ima
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
+pub use planner::scene_plan;
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use uncertainty::{MonteCarlo, monte_carlo};

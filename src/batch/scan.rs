@@ -109,7 +109,7 @@ pub fn scan(
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
     let simulation = match options.geometry_only {
-        true => Simulation::of_geometry(scene, control.hierarchy(scene)?),
+        true => Simulation::of_geometry(scene, control.hierarchy(scene)?)?,
         false => options.coverage.simulation(scene, control)?,
     };
     let prepared = Instant::now();

@@ -90,16 +90,16 @@ impl SceneArguments {
         });
         let mut scene = scene?;
         scene.seed = self.seed.unwrap_or(scene.seed);
-        scene.accel = self.accel.accel;
+        scene.accel = self.accel.accel.unwrap_or(scene.accel);
         Ok(scene)
     }
 }
 
 #[derive(clap::Args)]
 struct AccelArguments {
-    /// What finds the triangles rays meet
-    #[arg(long, value_enum, default_value_t)]
-    accel: Backend,
+    /// What finds the triangles rays meet [default: the scene's plan.accel]
+    #[arg(long, value_enum)]
+    accel: Option<Backend>,
 }
 
 /// Which samples to trace.

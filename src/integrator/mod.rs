@@ -1,6 +1,8 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
+pub mod accuracy;
 mod bend;
+mod cost;
 mod cutoff;
 mod direct;
 mod footprint;

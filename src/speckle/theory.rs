@@ -89,6 +89,31 @@ pub fn sampled_contrast(aperture: Aperture, q: f64, n: usize) -> f64 {
     variance.sqrt() / (n * n) as f64
 }
 
+/// Standard deviation of the difference between the mean of n × n point samples spread
+/// evenly over a pixel of pitch p = q·h and the mean over all of it, for speckle of mean
+/// 1: √(C_n² + C² − 2·K), K the covariance of the two, by the same quadrature.
+pub fn sampling_deviation(aperture: Aperture, q: f64, n: usize) -> f64 {
+    let nodes = gauss_legendre((2.0 * q).ceil().max(2.0) as usize);
+    let place = |i: usize| (i as f64 + 0.5) / n as f64;
+    // Of the symmetric quarters of the pixel one stands for all.
+    let quarter = n.div_ceil(2);
+    let weight = |i: usize| if 2 * i + 1 == n { 1.0 } else { 2.0 };
+    let mut covariance = 0.0;
+    for (i, j) in (0..quarter).flat_map(|i| (0..quarter).map(move |j| (i, j))) {
+        for &(x, wx) in &nodes {
+            for &(y, wy) in &nodes {
+                let lag = DVec2::new(place(i) - x, place(j) - y);
+                let mu = aperture.field_correlation(q * lag);
+                covariance += weight(i) * weight(j) * wx * wy * mu * mu;
+            }
+        }
+    }
+    covariance /= (n * n) as f64;
+    let variances =
+        sampled_contrast(aperture, q, n).powi(2) + integrated_contrast(aperture, q).powi(2);
+    (variances - 2.0 * covariance).max(0.0).sqrt()
+}
+
 /// Least n for which n × n point samples give the contrast of a pixel of pitch
 /// p = q·h to the relative `error`.
 pub fn samples_across_pixel(aperture: Aperture, q: f64, error: f64) -> usize {

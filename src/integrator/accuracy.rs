@@ -1,0 +1,367 @@
+//! The cheapest plan that keeps a tolerance of height: what each effect does to the
+//! points of a few frames, and what each way of modelling them costs.
+
+use super::Sampling;
+use super::plan::{Plan, sampling_error};
+use crate::speckle::lookup::Method;
+use crate::speckle::pattern::Aperture;
+use crate::speckle::theory::sampling_deviation;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::{PI, TAU};
+
+/// Share of points that may differ from the full model by more than the tolerance.
+pub const PROMISED_SHARE: f64 = 0.01;
+/// What of it a plan may predict: predictions are of first order and from few frames.
+const PLANNED_SHARE: f64 = 0.005;
+/// Where speckle alone scatters heights by more than the tolerance, all else is planned
+/// to this share of that scatter: it adds half a percent to it.
+const SHARE_OF_LIMIT: f64 = 0.1;
+
+/// What was promised, and what is predicted.
+#[derive(Debug, Clone, Serialize)]
+pub struct Accuracy {
+    /// Stated by the scene, µm.
+    pub tolerance_um: f64,
+    /// Error against the full model that was planned for, µm: the tolerance, or what
+    /// speckle leaves of its meaning.
+    pub planned_um: f64,
+    /// By what speckle alone moves heights in 1 of 100 points or more, µm: with
+    /// these optics no single point is surer.
+    pub speckle_limit_um: Option<f64>,
+    /// Predicted error against the full model: 99 of 100 points by less, µm.
+    pub predicted_um: Option<f64>,
+    /// Predicted share of points off by more than `planned_um`.
+    pub predicted_share: f64,
+    /// Whether the plan is good enough; no plan is, if not.
+    pub sufficient: bool,
+    /// Predicted time of one frame on one core, ms.
+    pub cost_ms: f64,
+    /// Frames looked at for it.
+    pub pilot_frames: Vec<u32>,
+    /// All this in words.
+    pub statement: String,
+}
+
+/// What a point of a pilot frame tells. Row errors, px.
+#[derive(Debug, Clone, Copy)]
+pub struct PilotPoint {
+    /// Way of the point for an error of its row by 1 px, µm.
+    pub um_per_px: f64,
+    /// Standard deviation of the line's image.
+    pub sigma: f64,
+    /// Standard deviations of the row from speckle, from the sensor's noise, and from
+    /// that of dark pixels alone.
+    pub speckle: f64,
+    pub noise: f64,
+    pub dark: f64,
+    /// By what it differs in geometry alone; `None` if that has no such point.
+    pub geometry: Option<f64>,
+    /// By what it differs with 1 and with 2 × 2 samples a pixel.
+    pub coarse: [Option<f64>; 2],
+}
+
+/// A few frames of the scene without speckle and noise.
+pub struct Pilot {
+    pub frames: Vec<u32>,
+    pub points: Vec<PilotPoint>,
+    /// Lines found in a frame, on average.
+    pub lines: f64,
+    pub pixels: f64,
+    pub columns: f64,
+    /// Of the scene's speckle.
+    pub grain: Option<Grain>,
+}
+
+/// Of the scene's speckle.
+#[derive(Debug, Clone)]
+pub struct Grain {
+    pub contrast: f64,
+    /// Standard deviation of what n × n samples miss of a pixel's mean, in units of the
+    /// mean and for a contrast of 1, by n.
+    pub missed: BTreeMap<u32, f64>,
+}
+
+impl Grain {
+    /// For plans with these numbers of samples; a pixel is `grains` wide.
+    pub fn new(aperture: Aperture, grains: f64, contrast: f64, plans: &[Plan]) -> Grain {
+        let counts: BTreeSet<u32> = plans.iter().map(|p| p.samples_per_side).collect();
+        // Past this many no affordable number of samples does.
+        let grains = grains.min(16.0);
+        let missed = |n: u32| (n, sampling_deviation(aperture, grains, n as usize));
+        Grain {
+            contrast,
+            missed: counts.into_iter().map(missed).collect(),
+        }
+    }
+}
+
+/// An error of height: a bias and a standard deviation, µm; infinite if the point is
+/// lost.
+#[derive(Debug, Clone, Copy)]
+pub struct HeightError {
+    pub bias: f64,
+    pub variance: f64,
+}
+
+impl HeightError {
+    pub fn random(deviation: f64) -> HeightError {
+        HeightError {
+            bias: 0.0,
+            variance: deviation * deviation,
+        }
+    }
+
+    pub fn bias(bias: Option<f64>) -> HeightError {
+        HeightError {
+            bias: bias.map_or(f64::INFINITY, f64::abs),
+            variance: 0.0,
+        }
+    }
+
+    /// Biases add up at worst; what is random is independent.
+    fn and(self, other: HeightError) -> HeightError {
+        HeightError {
+            bias: self.bias + other.bias,
+            variance: self.variance + other.variance,
+        }
+    }
+
+    /// Probability that it is beyond ± `limit`, if normal.
+    fn beyond(&self, limit: f64) -> f64 {
+        if self.variance == 0.0 || self.bias == f64::INFINITY {
+            return (self.bias > limit) as u8 as f64;
+        }
+        let spread = (2.0 * self.variance).sqrt();
+        let tail = |z: f64| 0.5 * libm::erfc(z / spread);
+        tail(limit - self.bias) + tail(limit + self.bias)
+    }
+}
+
+/// Expected share of these errors beyond ± `limit`.
+fn share_beyond(errors: &[HeightError], limit: f64) -> f64 {
+    errors.iter().map(|e| e.beyond(limit)).sum::<f64>() / errors.len().max(1) as f64
+}
+
+/// The limit that 99 of 100 keep; `None` if more are lost.
+pub fn quantile(errors: &[HeightError]) -> Option<f64> {
+    let largest = errors.iter().filter(|e| e.bias.is_finite());
+    let mut high = largest.fold(0.0f64, |most, e| most.max(e.bias + 6.0 * e.variance.sqrt()));
+    if share_beyond(errors, high) > PROMISED_SHARE {
+        return None;
+    }
+    let mut low = 0.0;
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        match share_beyond(errors, middle) > PROMISED_SHARE {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    Some(high)
+}
+
+/// Samples a side that plans choose from.
+const SAMPLES: [u32; 8] = [1, 2, 3, 4, 6, 8, 12, 16];
+/// Beam radii at which plans may end light, beside that at which none is seen.
+const RADII: [f64; 6] = [1.25, 1.5, 1.75, 2.0, 2.25, 2.5];
+
+/// By what `1/e²` half widths of the line its pixels' samples may stand wrong where
+/// facets bend (half a pixel off a plane: a quarter of the tolerance of planes).
+const BEND: f64 = 0.0025;
+
+impl Pilot {
+    /// Standard deviation of the row from speckle for that of one pixel's light, if
+    /// pixels err independently: the centroid of a Gaussian line, Σ y²·G² = σ/(4√π).
+    fn centroid(sigma: f64, pixel: f64) -> f64 {
+        pixel * (sigma / (4.0 * PI.sqrt())).sqrt()
+    }
+
+    /// Error of each point for one effect of a plan.
+    fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
+        let in_um = |point: &PilotPoint| {
+            let HeightError { bias, variance } = error(point);
+            HeightError {
+                bias: bias * point.um_per_px,
+                variance: variance * point.um_per_px.powi(2),
+            }
+        };
+        self.points.iter().map(in_um).collect()
+    }
+
+    /// What speckle left out does.
+    pub fn speckle(&self) -> Vec<HeightError> {
+        self.each(|p| HeightError::random(p.speckle))
+    }
+
+    pub fn noise(&self) -> Vec<HeightError> {
+        self.each(|p| HeightError::random(p.noise))
+    }
+
+    /// What it does to take the line as having no width.
+    pub fn geometry(&self) -> Vec<HeightError> {
+        self.each(|p| HeightError::bias(p.geometry))
+    }
+
+    /// What n × n samples a pixel leave: of the line, its first alias and at edges what
+    /// the pilot found, falling as the square of n; of speckle what they miss of the
+    /// pixel's mean.
+    pub fn samples(&self, plan: &Plan) -> Vec<HeightError> {
+        let n = plan.samples_per_side;
+        let missed = match (plan.speckle, &self.grain) {
+            (Some(Method::Prefiltered { .. }) | None, _) | (_, None) => 0.0,
+            (Some(_), Some(grain)) => grain.contrast * grain.missed[&n],
+        };
+        self.each(|p| {
+            let found = match n {
+                1 | 2 => p.coarse[n as usize - 1],
+                _ => Some(p.coarse[1].unwrap_or(0.0) * (2.0 / n as f64).powi(2)),
+            };
+            let alias = sampling_error(p.sigma, n);
+            HeightError::bias(found.map(|found| found.abs() + alias))
+                .and(HeightError::random(Self::centroid(p.sigma, missed)))
+        })
+    }
+
+    /// What it leaves to take samples from planes.
+    pub fn planes(&self, plan: &Plan) -> Vec<HeightError> {
+        let used = plan.sampling == Sampling::Planes && plan.samples_per_side > 1;
+        let bend = if used { BEND } else { 0.0 };
+        self.each(|p| HeightError::bias(Some(bend * 2.0 * p.sigma)))
+    }
+
+    /// What it leaves to end light at r beam radii, 2r standard deviations: were the other
+    /// end hidden, the centroid would move by σ·φ(2r); of speckle goes what is beyond, and
+    /// dark pixels have other noise there.
+    pub fn cutoff(&self, plan: &Plan) -> Vec<HeightError> {
+        let r = plan.cutoff_radii;
+        let moment = (-2.0 * r * r).exp() / TAU.sqrt();
+        // ∫y²·G² beyond 2r σ, of all: G² is a Gaussian of σ/√2.
+        let z = 2.0 * r;
+        let lost = libm::erfc(z) + 2.0 * z * (-z * z).exp() / PI.sqrt();
+        // The window ends at 4 σ.
+        let dark = (1.0 - (z / 4.0).powi(3)).max(0.0) * 2.0;
+        self.each(|p| {
+            let speckle = plan.speckle.map_or(0.0, |_| p.speckle * p.speckle * lost);
+            let noise = if plan.noise { dark * p.dark * p.dark } else { 0.0 };
+            HeightError::bias(Some(moment * p.sigma))
+                .and(HeightError::random((speckle + noise).sqrt()))
+        })
+    }
+
+    /// Errors of a plan against the full model.
+    pub fn errors(&self, plan: &Plan) -> Vec<HeightError> {
+        let mut parts = Vec::new();
+        if plan.speckle.is_none() {
+            parts.push(self.speckle());
+        }
+        if !plan.noise {
+            parts.push(self.noise());
+        }
+        match plan.geometry_only {
+            true => parts.push(self.geometry()),
+            false => parts.extend([self.samples(plan), self.planes(plan), self.cutoff(plan)]),
+        }
+        let none = self.each(|_| HeightError::random(0.0));
+        parts.into_iter().fold(none, |sum, part| {
+            sum.into_iter().zip(part).map(|(a, b)| a.and(b)).collect()
+        })
+    }
+
+    /// The cheapest of `candidates` that is predicted to keep the tolerance, else the
+    /// most accurate, and its prediction.
+    pub fn choose(&self, candidates: Vec<Plan>, tolerance_um: f64) -> (Plan, Accuracy) {
+        let scatter = quantile(&self.speckle()).filter(|&limit| limit > tolerance_um);
+        let planned_um = scatter.map_or(tolerance_um, |s| tolerance_um.max(SHARE_OF_LIMIT * s));
+        let mut best: Option<((bool, f64, f64), Plan)> = None;
+        for plan in candidates {
+            let share = share_beyond(&self.errors(&plan), planned_um);
+            let enough = share <= PLANNED_SHARE;
+            let cost = self.cost_ms(&plan);
+            let rank = match enough {
+                true => (false, cost, share),
+                false => (true, share, cost),
+            };
+            if best.as_ref().is_none_or(|(other, _)| rank < *other) {
+                best = Some((rank, plan));
+            }
+        }
+        let ((insufficient, ..), plan) = best.expect("there are candidates");
+        let errors = self.errors(&plan);
+        let mut accuracy = Accuracy {
+            tolerance_um,
+            planned_um,
+            speckle_limit_um: scatter,
+            predicted_um: quantile(&errors),
+            predicted_share: share_beyond(&errors, planned_um),
+            sufficient: !insufficient,
+            cost_ms: self.cost_ms(&plan),
+            pilot_frames: self.frames.clone(),
+            statement: String::new(),
+        };
+        accuracy.statement = accuracy.in_words(self.points.is_empty());
+        (plan, accuracy)
+    }
+}
+
+/// Every plan that is `base` done otherwise: cheaper, or more finely.
+pub fn candidates(base: &Plan, geometry: bool) -> Vec<Plan> {
+    let mut plans = Vec::new();
+    if geometry {
+        plans.push(Plan {
+            geometry_only: true,
+            speckle: None,
+            noise: false,
+            ..base.clone()
+        });
+    }
+    let speckles = [None, base.speckle];
+    let noises = [false, base.noise];
+    let radii = RADII.iter().filter(|&&r| r < base.cutoff_radii);
+    let radii: Vec<f64> = radii.copied().chain([base.cutoff_radii]).collect();
+    for speckle in &speckles[base.speckle.is_none() as usize..] {
+        for &noise in &noises[!base.noise as usize..] {
+            for sampling in [Sampling::Planes, Sampling::Rays] {
+                for samples_per_side in SAMPLES {
+                    plans.extend(radii.iter().map(|&cutoff_radii| Plan {
+                        speckle: *speckle,
+                        noise,
+                        sampling,
+                        samples_per_side,
+                        cutoff_radii,
+                        ..base.clone()
+                    }));
+                }
+            }
+        }
+    }
+    plans
+}
+
+impl Accuracy {
+    fn in_words(&self, blind: bool) -> String {
+        let Accuracy {
+            tolerance_um,
+            planned_um,
+            ..
+        } = self;
+        if blind {
+            return "no frame that was looked at has a line: nothing could be predicted".into();
+        }
+        let limit = self.speckle_limit_um.map(|limit| {
+            format!(
+                "no sensor with these optics measures single points to {tolerance_um} µm: \
+                 speckle alone moves 1 of 100 by more than {limit:.2} µm. It is modelled, and \
+                 all else to {planned_um:.2} µm. "
+            )
+        });
+        let predicted = self.predicted_um.map_or("unknown".into(), |um| {
+            format!("within {um:.2} µm of the full model in 99 of 100 points")
+        });
+        let verdict = match self.sufficient {
+            true => "",
+            false => "; no method here does better, and it is not enough",
+        };
+        limit.unwrap_or_default() + &format!("predicted: {predicted}{verdict}")
+    }
+}

@@ -1,0 +1,84 @@
+//! What a plan costs: predicted from counts of what a frame does.
+
+use super::Sampling;
+use super::accuracy::Pilot;
+use super::plan::Plan;
+use crate::speckle::lookup::Method;
+
+/// Time of one of each, ns: measured on the demo.
+struct Cost {
+    /// A camera ray with its shadow ray.
+    ray: f64,
+    /// A sample on a known plane.
+    sample: f64,
+    /// Counts and peaks of one pixel of the sensor.
+    pixel: f64,
+    noise: f64,
+    speckle_field: f64,
+    speckle_sample: f64,
+    /// A column of a geometric profile.
+    geometric: f64,
+}
+
+const COST: Cost = Cost {
+    ray: 500.0,
+    sample: 14.0,
+    pixel: 15.0,
+    noise: 6.0,
+    speckle_field: 3e6,
+    speckle_sample: 10.0,
+    geometric: 1500.0,
+};
+
+fn speckle_ns(plan: &Plan, samples: f64) -> f64 {
+    match plan.speckle {
+        Some(_) => COST.speckle_field + COST.speckle_sample * samples,
+        None => 0.0,
+    }
+}
+
+fn noise_ns(plan: &Plan, pixels: f64) -> f64 {
+    if plan.noise { COST.noise * pixels } else { 0.0 }
+}
+
+impl Pilot {
+    /// Pixels of a frame that see the line.
+    fn lit(&self, plan: &Plan) -> f64 {
+        let widths = self.points.iter().map(|p| 2.0 * p.sigma).sum::<f64>();
+        self.lines * (2.0 * plan.cutoff_radii * widths / self.points.len().max(1) as f64 + 2.0)
+    }
+
+    /// Predicted time of one frame on one core, ms, from the counts of what it does
+    /// and the times these took in the demo (`lasertrace chart`): good to a factor of
+    /// two elsewhere, and for comparing plans.
+    pub fn cost_ms(&self, plan: &Plan) -> f64 {
+        let ns = match plan.geometry_only {
+            true => COST.geometric * self.columns,
+            false => {
+                let lit = self.lit(plan);
+                let samples = lit * (plan.samples_per_side as f64).powi(2);
+                let light = match plan.sampling {
+                    _ if plan.samples_per_side == 1 => COST.ray * lit,
+                    Sampling::Rays => COST.ray * samples,
+                    Sampling::Planes => COST.ray * lit + COST.sample * samples,
+                };
+                light
+                    + COST.pixel * self.pixels
+                    + speckle_ns(plan, samples)
+                    + noise_ns(plan, self.pixels)
+            }
+        };
+        ns * 1e-6
+    }
+
+    /// Of it that of speckle and of noise, modelled or not.
+    pub fn cost_of_randomness_ms(&self, plan: &Plan) -> [f64; 2] {
+        let samples = self.lit(plan) * (plan.samples_per_side as f64).powi(2);
+        let with = Plan {
+            speckle: Some(Method::Field),
+            noise: true,
+            ..plan.clone()
+        };
+        [speckle_ns(&with, samples), noise_ns(&with, self.pixels)].map(|ns| ns * 1e-6)
+    }
+}
