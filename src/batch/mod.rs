@@ -3,6 +3,7 @@
 #[cfg(feature = "race")]
 mod bench_bvh;
 mod calibrate;
+mod chart;
 mod files;
 mod frames;
 mod journal;
@@ -18,12 +19,15 @@ mod scan_speckle;
 mod simulation;
 mod speckle;
 mod synthetic;
+mod tiers;
 mod uncertainty;
 mod wave;
 
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
+pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use render::{RenderSummary, render};

@@ -144,7 +144,7 @@ impl Compared<'_> {
         };
         let fine = peaks(&self.fine);
         let coarse = self.coarse.each_ref().map(|s| by_column(peaks(s)));
-        let geometry = by_column(self.geometric.geometric(frame).0);
+        let geometry = by_column(self.geometric.geometric_peaks(frame).0);
         // Without noise fainter lines are found than a real image would show.
         let faintest = match scene.camera.sensor.noise {
             Some(_) => WEAK_SNR * self.models.dark,

@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
     match scene.tolerance_um {
         None => Ok(named(scene, plan(scene))),
-        Some(_) => planned(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
+        Some(_) => scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
     }
 }
 
@@ -61,7 +61,8 @@ fn named(scene: &Scene, mut plan: Plan) -> Plan {
     }
 }
 
-pub(super) fn planned<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
+/// The same over a hierarchy that is there.
+pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
     let base = plan(scene);
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(named(scene, base));

@@ -73,7 +73,7 @@ impl<'s> Simulation<'s> {
 
     pub(super) fn of_everything(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
         let accel = Arc::new(accel);
-        let plan = planner::planned(scene, &accel)?;
+        let plan = planner::scene_plan_with(scene, &accel)?;
         Simulation::with_plan(scene, accel, plan)
     }
 
