@@ -204,7 +204,11 @@ fn row(number: u64, kept: &Kept) -> String {
                 lasertrace::integrator::Sampling::Planes => "planes",
                 lasertrace::integrator::Sampling::Rays => "rays",
             },
-            if plan.speckle.is_some() { " speckle" } else { "" },
+            if plan.speckle.is_some() {
+                " speckle"
+            } else {
+                ""
+            },
             if plan.noise { " noise" } else { "" },
             plan.cutoff_radii
         ),

@@ -80,12 +80,7 @@ pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
 
 /// Times all tiers on some of the scene's frames and measures their errors; writes
 /// `chart.svg` and `chart.json` to `out`.
-pub fn chart(
-    scene: &Scene,
-    effort: ChartEffort,
-    out: &Path,
-    control: &Control,
-) -> Result<Chart> {
+pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) -> Result<Chart> {
     files::create_folder(out)?;
     let tiers = Tiers::all(scene, control.hierarchy(scene)?)?;
     let frames = spread_frames(scene.scan.frames, effort.frames);
@@ -244,26 +239,21 @@ impl Chart {
             chosen: row.chosen,
             hollow: row.other_grains,
         };
-        let chosen = self.rows.iter().find(|row| row.chosen);
-        let statement = chosen.and_then(|row| row.plan.accuracy.as_ref());
+        let frames: Vec<String> = self.frames.iter().map(u32::to_string).collect();
+        let mut lead = vec![format!(
+            "{}: frames {}, one core, medians and quartiles of {} rounds in turn.",
+            self.scene.display(),
+            frames.join(", "),
+            self.rounds
+        )];
+        if let Some(row) = self.rows.iter().find(|row| row.chosen) {
+            lead.push(format!("Chosen: {}.", in_words(&row.plan)));
+            let accuracy = row.plan.accuracy.as_ref();
+            lead.extend(accuracy.map(|a| format!("The plan says: {}.", a.statement)));
+        }
         AccuracyChart {
             title: self.headline(),
-            lead: vec![
-                format!(
-                    "{}: frames {}, one core, medians of {} rounds in turn.",
-                    self.scene.display(),
-                    self.frames
-                        .iter()
-                        .map(u32::to_string)
-                        .collect::<Vec<_>>()
-                        .join(", "),
-                    self.rounds
-                ),
-                chosen.map_or(String::new(), |row| {
-                    format!("Chosen: {}.", in_words(&row.plan))
-                }),
-                statement.map_or(String::new(), |a| a.statement.clone()),
-            ],
+            lead,
             tolerance_um: self.tolerance_um,
             limit_um: self.speckle_limit_um,
             marks: self.rows.iter().map(mark).collect(),

@@ -68,7 +68,10 @@ pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> R
         return Ok(named(scene, base));
     };
     let geometry = scene.laser.fan.is_some() && !scene.write_frames;
-    let plans = candidates(&base, geometry && scene.methods.geometry_only != Some(false));
+    let plans = candidates(
+        &base,
+        geometry && scene.methods.geometry_only != Some(false),
+    );
     let plans: Vec<Plan> = plans.into_iter().map(|plan| named(scene, plan)).collect();
     let pilot = pilot(scene, accel, &base, &plans)?;
     let (mut plan, accuracy) = pilot.choose(plans, tolerance);
@@ -102,12 +105,30 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         };
         let why = format!("grain {:.2} px", plan.speckle_size_px);
         let why = because(scene.methods.speckle, &why);
-        add("speckle", plan.speckle.is_some(), method, why, pilot.speckle(), Some(speckle_ms));
+        add(
+            "speckle",
+            plan.speckle.is_some(),
+            method,
+            why,
+            pilot.speckle(),
+            Some(speckle_ms),
+        );
     }
     if scene.camera.sensor.noise.is_some() {
-        let method = if plan.noise { "drawn for each pixel" } else { left_out };
+        let method = if plan.noise {
+            "drawn for each pixel"
+        } else {
+            left_out
+        };
         let why = because(scene.methods.noise, "shot noise, read noise");
-        add("sensor noise", plan.noise, method, why, pilot.noise(), Some(noise_ms));
+        add(
+            "sensor noise",
+            plan.noise,
+            method,
+            why,
+            pilot.noise(),
+            Some(noise_ms),
+        );
     }
     let image = Plan {
         geometry_only: false,
@@ -119,25 +140,66 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
     };
     let why = because(scene.methods.geometry_only, why);
     let cost = pilot.cost_ms(&image);
-    add("width of the line", !plan.geometry_only, method, why, pilot.geometry(), Some(cost));
+    add(
+        "width of the line",
+        !plan.geometry_only,
+        method,
+        why,
+        pilot.geometry(),
+        Some(cost),
+    );
     if !plan.geometry_only {
         let n = plan.samples_per_side;
         let method = format!("{n} × {n} samples a pixel");
-        let why = because(scene.methods.samples_per_side.map(|_| true), "what these still leave");
-        add("pixel integration", true, &method, why, pilot.samples(plan), None);
+        let why = because(
+            scene.methods.samples_per_side.map(|_| true),
+            "what these still leave",
+        );
+        add(
+            "pixel integration",
+            true,
+            &method,
+            why,
+            pilot.samples(plan),
+            None,
+        );
         let (modelled, method, why) = match plan.sampling {
             Sampling::Rays => (true, "a ray for each sample", ""),
             Sampling::Planes if n == 1 => (false, "1 ray a pixel", ""),
-            Sampling::Planes => (false, "flat between pixels, rays at edges", "facets that bend"),
+            Sampling::Planes => (
+                false,
+                "flat between pixels, rays at edges",
+                "facets that bend",
+            ),
         };
         let why = because(scene.methods.sampling.map(|_| true), why);
-        add("surface within a pixel", modelled, method, why, pilot.planes(plan), None);
+        add(
+            "surface within a pixel",
+            modelled,
+            method,
+            why,
+            pilot.planes(plan),
+            None,
+        );
         let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
-        let why = because(scene.methods.cutoff_radii.map(|_| true), "what that cuts off");
-        add("light far from the line", false, &method, why, pilot.cutoff(plan), None);
+        let why = because(
+            scene.methods.cutoff_radii.map(|_| true),
+            "what that cuts off",
+        );
+        add(
+            "light far from the line",
+            false,
+            &method,
+            why,
+            pilot.cutoff(plan),
+            None,
+        );
     }
     let replaced = ["speckle", "pixel integration"];
-    let others = base.effects.iter().filter(|e| !replaced.contains(&e.effect));
+    let others = base
+        .effects
+        .iter()
+        .filter(|e| !replaced.contains(&e.effect));
     effects.extend(others.cloned());
     effects
 }

@@ -179,7 +179,8 @@ impl<'s> Simulation<'s> {
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
         let dark_key = key.with(DARK);
-        let mut counts = vec![0; irradiance.len()];
+        // Without noise dark pixels are all alike.
+        let mut counts = vec![sensor.count(0.0, dark_key); irradiance.len()];
         let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP);
         tasks
             .zip(irradiance.par_chunks(DARK_GROUPS * DARK_GROUP))
@@ -194,7 +195,7 @@ impl<'s> Simulation<'s> {
                     }
                 }
                 for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
-                    if self.dark.is_none() || e != 0.0 {
+                    if e != 0.0 {
                         *count = sensor.count(e as f64 * electrons, pixel(first + i));
                     }
                 }

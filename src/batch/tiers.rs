@@ -100,9 +100,9 @@ impl<'s> Tiers<'s> {
             sampling: Sampling::Rays,
             ..base.clone()
         };
-        let name = format!("every pixel, {n} × {n} rays");
+        let name = format!("every pixel, {n} × {n} rays in each");
         tiers.add(&name, rays.clone(), Coverage::Exhaustive)?;
-        let name = format!("pixels at the line, {n} × {n} rays");
+        let name = format!("pixels at the line only, {n} × {n} rays in each");
         tiers.add(&name, rays, Coverage::Footprint)?;
         tiers.images(&base)?;
         tiers.randomness(&base)?;
@@ -124,10 +124,10 @@ impl<'s> Tiers<'s> {
         let plan = scene_plan_with(self.scene, &self.accel)?;
         let name = match self.scene.tolerance_um {
             Some(tolerance) => format!("plan for {tolerance} µm"),
-            None => "plan".to_owned(),
+            None => "plan: flat pieces 1 ray a pixel".to_owned(),
         };
         self.chosen = self.list.len();
-        self.add(&format!("{name}: {}", in_words(&plan)), plan, Coverage::Footprint)?;
+        self.add(&name, plan, Coverage::Footprint)?;
         let mut counts = vec![1, 2, n, 2 * n];
         counts.sort_unstable();
         counts.dedup();
@@ -136,61 +136,62 @@ impl<'s> Tiers<'s> {
                 samples_per_side,
                 ..base.clone()
             };
-            self.unless_chosen(plan)?;
+            self.unless_chosen(plan, base)?;
         }
-        self.unless_chosen(Plan {
-            cutoff_radii: base.cutoff_radii.min(1.5),
-            ..base.clone()
-        })
+        for radii in [1.5, 2.0] {
+            let plan = Plan {
+                cutoff_radii: base.cutoff_radii.min(radii),
+                ..base.clone()
+            };
+            self.unless_chosen(plan, base)?;
+        }
+        Ok(())
     }
 
-    fn unless_chosen(&mut self, plan: Plan) -> Result<()> {
-        let name = in_words(&plan);
-        if in_words(&self.list[self.chosen].simulation.plan) == name {
+    fn unless_chosen(&mut self, plan: Plan, base: &Plan) -> Result<()> {
+        if words(&self.list[self.chosen].simulation.plan) == words(&plan) {
             return Ok(());
         }
+        let name = match difference(&plan, base) {
+            name if name.is_empty() => "without a tolerance".into(),
+            name => name,
+        };
         self.add(&name, plan, Coverage::Footprint).map(drop)
     }
 
     /// Speckle and noise: without, and otherwise.
     fn randomness(&mut self, base: &Plan) -> Result<()> {
-        let dark = Plan {
-            speckle: None,
-            noise: false,
+        let mut plans = Vec::new();
+        let with = |speckle, noise| Plan {
+            speckle,
+            noise,
             ..base.clone()
         };
         if base.speckle.is_some() {
-            self.unless_chosen(Plan {
-                speckle: None,
-                ..base.clone()
-            })?;
+            plans.push(with(None, base.noise));
             let q = 1.0 / base.speckle_size_px;
-            let prefiltered = (0.5..=32.0)
-                .contains(&q)
-                .then_some(Method::Prefiltered { q });
-            for method in [Some(Method::Trilinear), prefiltered] {
-                if method.is_some() && method != base.speckle {
-                    self.unless_chosen(Plan {
-                        speckle: method,
-                        ..base.clone()
-                    })?;
-                }
-            }
+            let fits = (0.5..=32.0).contains(&q);
+            let prefiltered = fits.then_some(Method::Prefiltered { q });
+            let others = [Some(Method::Trilinear), prefiltered];
+            let others = others
+                .into_iter()
+                .filter(|m| m.is_some() && *m != base.speckle);
+            plans.extend(others.map(|method| with(method, base.noise)));
         }
         if base.noise {
-            self.unless_chosen(Plan {
-                noise: false,
-                ..base.clone()
-            })?;
+            plans.push(with(base.speckle, false));
         }
         if base.speckle.is_some() && base.noise {
-            self.unless_chosen(dark.clone())?;
+            plans.push(with(None, false));
         }
-        self.unless_chosen(Plan {
+        plans.push(Plan {
             samples_per_side: 1,
             cutoff_radii: base.cutoff_radii.min(1.5),
-            ..dark
-        })
+            ..with(None, false)
+        });
+        plans
+            .into_iter()
+            .try_for_each(|plan| self.unless_chosen(plan, base))
     }
 
     fn finders(&mut self, base: &Plan) -> Result<()> {
@@ -202,7 +203,7 @@ impl<'s> Tiers<'s> {
                     PeakFinder::GaussianFit => "gaussian-fit",
                     PeakFinder::DerivativeZero => "derivative-zero",
                 };
-                let name = format!("{}; {finder_name}", in_words(base));
+                let name = format!("peak finder {finder_name}");
                 self.add(&name, base.clone(), Coverage::Footprint)?.finder = finder;
             }
         }
@@ -216,7 +217,7 @@ impl<'s> Tiers<'s> {
         let threads = rayon::current_num_threads();
         let accel = Accel::build_with(Backend::Rust, &self.scene.mesh, threads, &|_| Ok(()))?;
         let embree = std::mem::replace(&mut self.accel, Arc::new(accel));
-        let tier = self.add(&format!("{}; hierarchy in Rust", in_words(base)), base.clone(), Coverage::Footprint)?;
+        let tier = self.add("hierarchy in Rust", base.clone(), Coverage::Footprint)?;
         tier.accel = Backend::Rust;
         self.accel = embree;
         Ok(())
@@ -225,24 +226,36 @@ impl<'s> Tiers<'s> {
 
 /// A plan's values in words.
 pub fn in_words(plan: &Plan) -> String {
+    words(plan).join(", ")
+}
+
+fn words(plan: &Plan) -> Vec<String> {
     if plan.geometry_only {
-        return "geometry only, no image".into();
+        return vec!["geometry only, no image".into()];
     }
     let n = plan.samples_per_side;
     let sampling = match plan.sampling {
         _ if n == 1 => "1 ray a pixel".to_owned(),
-        Sampling::Planes => format!("{n} × {n} samples"),
-        Sampling::Rays => format!("{n} × {n} rays"),
+        Sampling::Planes => format!("{n} × {n} samples a pixel"),
+        Sampling::Rays => format!("{n} × {n} rays a pixel"),
     };
     let speckle = match plan.speckle {
         None => "no speckle",
-        Some(Method::Field) => "speckle field",
+        Some(Method::Field) => "speckle by field",
         Some(Method::Trilinear) => "speckle trilinear",
         Some(Method::Prefiltered { .. }) => "speckle prefiltered",
     };
     let noise = if plan.noise { "noise" } else { "no noise" };
-    let radii = plan.cutoff_radii;
-    format!("{sampling}, {speckle}, {noise}, light to {radii:.2} radii")
+    let light = format!("light to {:.2} beam radii", plan.cutoff_radii);
+    vec![sampling, speckle.into(), noise.into(), light]
+}
+
+/// In what it is not as `base`.
+fn difference(plan: &Plan, base: &Plan) -> String {
+    let base = words(base);
+    let mut words = words(plan);
+    words.retain(|word| !base.contains(word));
+    words.join(", ")
 }
 
 /// How far heights are from others of the same columns. Medians and percentiles, as

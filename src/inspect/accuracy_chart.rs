@@ -33,7 +33,7 @@ pub struct AccuracyChart {
 }
 
 const LEFT: f64 = 86.0;
-const TOP: f64 = 118.0;
+const TOP: f64 = 142.0;
 const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 380.0;
 /// Of the strip below the axis for those without error.
@@ -58,7 +58,11 @@ impl Axis {
         let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| {
             (low.min(v), high.max(v))
         });
-        let (low, high) = if low <= high { (low, high) } else { (1.0, 10.0) };
+        let (low, high) = if low <= high {
+            (low, high)
+        } else {
+            (1.0, 10.0)
+        };
         Axis {
             low: (low * 0.8).log10(),
             high: (high * 1.25).log10(),
@@ -97,12 +101,13 @@ impl AccuracyChart {
              <text x=\"24\" y=\"32\" font-size=\"18\" font-weight=\"bold\">{}</text>",
             escape(&self.title)
         );
-        for (i, line) in self.lead.iter().enumerate() {
+        let lines = self.lead.iter().flat_map(|line| wrapped(line));
+        for (i, line) in lines.enumerate() {
             let y = 54 + 18 * i;
             let _ = write!(
                 svg,
                 "<text x=\"24\" y=\"{y}\" fill=\"#444\">{}</text>",
-                escape(line)
+                escape(&line)
             );
         }
         let speeds = self.marks.iter().map(|m| 1e3 / m.ms[1]);
@@ -156,7 +161,7 @@ impl AccuracyChart {
              <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frames a second on one core \
              (faster →)</text>\
              <text transform=\"translate(22 {}) rotate(-90)\" text-anchor=\"middle\">error of \
-             height against the full model, µm, of 99 in 100 points (← better)</text>",
+             99 in 100 heights, µm (← better)</text>",
             HEIGHT + STRIP,
             LEFT + WIDTH,
             LEFT - 7.0,
@@ -252,9 +257,9 @@ impl AccuracyChart {
 
     fn table(&self, svg: &mut String, top: f64) {
         const COLUMNS: [(&str, f64); 8] = [
-            ("ms a frame", 480.0),
-            ("times as fast", 572.0),
-            ("99 of 100, µm", 668.0),
+            ("ms a frame", 460.0),
+            ("times as fast", 558.0),
+            ("99 of 100, µm", 660.0),
             ("bias, µm", 732.0),
             ("noise, µm", 800.0),
             ("lost, %", 850.0),
@@ -280,7 +285,14 @@ impl AccuracyChart {
                 _ => "fill=\"#444\"".into(),
             };
             cell(svg, 42.0, y, "end", &style, &(i + 1).to_string());
-            cell(svg, 52.0, y, "start", &format!("{style} font-size=\"12\""), &mark.name);
+            cell(
+                svg,
+                52.0,
+                y,
+                "start",
+                &format!("{style} font-size=\"12\""),
+                &mark.name,
+            );
             let lost = |um: Option<f64>, none: &str| um.map_or(none.to_owned(), short);
             let cells = [
                 short(mark.ms[1]),
@@ -310,12 +322,25 @@ impl AccuracyChart {
     }
 }
 
+/// A long line as several of some 140 characters.
+fn wrapped(line: &str) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in line.split(' ') {
+        let last = lines.last_mut().expect("there is one");
+        match last.chars().count() + word.chars().count() < 140 {
+            true if last.is_empty() => last.push_str(word),
+            true => {
+                last.push(' ');
+                last.push_str(word);
+            }
+            false => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
 /// Beside a mark, where neither marks nor other numbers are.
-fn free_place(
-    (x, y): (f64, f64),
-    marks: &[(f64, f64)],
-    numbers: &[(f64, f64)],
-) -> (f64, f64) {
+fn free_place((x, y): (f64, f64), marks: &[(f64, f64)], numbers: &[(f64, f64)]) -> (f64, f64) {
     let room = |&(px, py): &(f64, f64)| {
         let gap = |others: &[(f64, f64)]| {
             let gaps = others.iter().map(|(ox, oy)| (ox - px).hypot(oy - py));

@@ -9,7 +9,7 @@ use crate::speckle::lookup::Method;
 struct Cost {
     /// A camera ray with its shadow ray.
     ray: f64,
-    /// A sample on a known plane.
+    /// A sample on a known plane, and its share of those that have a ray.
     sample: f64,
     /// Counts and peaks of one pixel of the sensor.
     pixel: f64,
@@ -21,13 +21,13 @@ struct Cost {
 }
 
 const COST: Cost = Cost {
-    ray: 500.0,
-    sample: 14.0,
-    pixel: 15.0,
-    noise: 6.0,
-    speckle_field: 3e6,
-    speckle_sample: 10.0,
-    geometric: 1500.0,
+    ray: 700.0,
+    sample: 110.0,
+    pixel: 30.0,
+    noise: 8.0,
+    speckle_field: 4e6,
+    speckle_sample: 12.0,
+    geometric: 700.0,
 };
 
 fn speckle_ns(plan: &Plan, samples: f64) -> f64 {
