@@ -1,5 +1,6 @@
 //! Plans for a tolerance keep it: against the full model, on generated scenes.
 
+#[allow(dead_code)]
 mod random;
 
 use lasertrace::batch::{Kept, keeps_word};
@@ -64,7 +65,7 @@ impl Optics {
         let pupil = PI / 4.0 * (self.focal_length / self.f_number).powi(2);
         let irradiance = line / PI * pupil / image.powi(2);
         let photon_mj = 1.986e-13 / self.wavelength_nm;
-        electrons * photon_mj * 1e-3 / (irradiance * (self.pitch_um * 1e-3).powi(2) * 0.5) * 1e3
+        electrons * photon_mj / (irradiance * (self.pitch_um * 1e-3).powi(2) * 0.5) * 1e3
     }
 }
 
@@ -112,7 +113,7 @@ fn scene_text(number: u64) -> String {
     let optics = Optics::random(random);
     let size = COLUMNS * optics.object_px() * 1e-3;
     let part = part(random, size);
-    let tolerance = optics.um_per_px() * random.scale(0.02, 2.0);
+    let tolerance = optics.um_per_px() * random.scale(0.003, 1.0);
     let full_well = 15000.0;
     let exposure = optics.exposure(full_well * random.between(0.2, 0.7));
     let noise = match random.choice(4) {

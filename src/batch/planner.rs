@@ -80,56 +80,11 @@ pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> R
     Ok(plan)
 }
 
-/// How a choice was made: the method, and the tolerance or the scene.
+/// The effects of a scene, what each does to its heights, and how it is modelled.
 fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect> {
-    let [speckle_ms, noise_ms] = pilot.cost_of_randomness_ms(plan);
-    let because = |name: Option<bool>, share: &str| match name {
-        Some(_) => "named in [plan]".to_owned(),
-        None => share.to_owned(),
-    };
-    let mut effects = Vec::new();
-    let mut add = |effect, modelled, method: &str, why: String, errors: Vec<HeightError>, cost| {
-        effects.push(Effect {
-            influence_um: quantile(&errors),
-            cost_ms: cost,
-            ..Effect::new(effect, modelled, method.to_owned(), why)
-        });
-    };
-    let left_out = "left out";
-    if scene.speckle.is_some() {
-        let method = match plan.speckle {
-            Some(Method::Field) => "complex field of each frame",
-            Some(Method::Trilinear) => "ring of intensities",
-            Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
-            None => left_out,
-        };
-        let why = format!("grain {:.2} px", plan.speckle_size_px);
-        let why = because(scene.methods.speckle, &why);
-        add(
-            "speckle",
-            plan.speckle.is_some(),
-            method,
-            why,
-            pilot.speckle(),
-            Some(speckle_ms),
-        );
-    }
-    if scene.camera.sensor.noise.is_some() {
-        let method = if plan.noise {
-            "drawn for each pixel"
-        } else {
-            left_out
-        };
-        let why = because(scene.methods.noise, "shot noise, read noise");
-        add(
-            "sensor noise",
-            plan.noise,
-            method,
-            why,
-            pilot.noise(),
-            Some(noise_ms),
-        );
-    }
+    let methods = &scene.methods;
+    let mut list = List(Vec::new());
+    list.randomness(scene, pilot, plan);
     let image = Plan {
         geometry_only: false,
         ..plan.clone()
@@ -138,68 +93,107 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         true => ("laser rays without width", "no image is taken"),
         false => ("image", "bends, edges and shadows shape the line"),
     };
-    let why = because(scene.methods.geometry_only, why);
-    let cost = pilot.cost_ms(&image);
-    add(
+    let width = list.add(
         "width of the line",
         !plan.geometry_only,
         method,
-        why,
         pilot.geometry(),
-        Some(cost),
     );
+    width.why = because(methods.geometry_only.is_some(), why);
+    width.cost_ms = Some(pilot.cost_ms(&image));
     if !plan.geometry_only {
         let n = plan.samples_per_side;
         let method = format!("{n} × {n} samples a pixel");
-        let why = because(
-            scene.methods.samples_per_side.map(|_| true),
-            "what these still leave",
-        );
-        add(
-            "pixel integration",
-            true,
-            &method,
-            why,
-            pilot.samples(plan),
-            None,
-        );
-        let (modelled, method, why) = match plan.sampling {
-            Sampling::Rays => (true, "a ray for each sample", ""),
-            Sampling::Planes if n == 1 => (false, "1 ray a pixel", ""),
-            Sampling::Planes => (
-                false,
-                "flat between pixels, rays at edges",
-                "facets that bend",
-            ),
+        list.add("pixel integration", true, &method, pilot.samples(plan))
+            .why = because(methods.samples_per_side.is_some(), "what these still leave");
+        let (modelled, method) = match plan.sampling {
+            Sampling::Rays => (true, "a ray for each sample"),
+            Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
+            Sampling::Planes => (false, "flat between pixels, rays at edges"),
         };
-        let why = because(scene.methods.sampling.map(|_| true), why);
-        add(
+        list.add(
             "surface within a pixel",
             modelled,
             method,
-            why,
             pilot.planes(plan),
-            None,
-        );
+        )
+        .why = because(methods.sampling.is_some(), "what facets that bend leave");
         let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
-        let why = because(
-            scene.methods.cutoff_radii.map(|_| true),
-            "what that cuts off",
-        );
-        add(
+        list.add(
             "light far from the line",
             false,
             &method,
-            why,
             pilot.cutoff(plan),
-            None,
-        );
+        )
+        .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
     }
     let replaced = ["speckle", "pixel integration"];
-    let others = base
-        .effects
-        .iter()
-        .filter(|e| !replaced.contains(&e.effect));
-    effects.extend(others.cloned());
-    effects
+    let others = base.effects.iter();
+    let others = others.filter(|e| !replaced.contains(&e.effect));
+    list.0.extend(others.cloned().map(|effect| {
+        // A disc's standard deviation is a quarter of its diameter; the core of Airy's
+        // pattern is about a Gaussian of 0.42 h.
+        let blur = match effect.effect {
+            "defocus" => plan.defocus_blur_px / 4.0,
+            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+            _ => return effect,
+        };
+        Effect {
+            influence_um: quantile(&pilot.widened(blur)),
+            ..effect
+        }
+    }));
+    list.0
+}
+
+fn because(named: bool, why: &str) -> String {
+    match named {
+        true => "named in [plan]".into(),
+        false => why.into(),
+    }
+}
+
+struct List(Vec<Effect>);
+
+impl List {
+    fn add(
+        &mut self,
+        effect: &'static str,
+        modelled: bool,
+        method: &str,
+        errors: Vec<HeightError>,
+    ) -> &mut Effect {
+        self.0.push(Effect {
+            influence_um: quantile(&errors),
+            ..Effect::new(effect, modelled, method.to_owned(), String::new())
+        });
+        self.0.last_mut().expect("it was pushed")
+    }
+
+    fn randomness(&mut self, scene: &Scene, pilot: &Pilot, plan: &Plan) {
+        let methods = &scene.methods;
+        let [speckle_ms, noise_ms] = pilot.cost_of_randomness_ms(plan);
+        if scene.speckle.is_some() {
+            let method = match plan.speckle {
+                Some(Method::Field) => "complex field of each frame",
+                Some(Method::Trilinear) => "ring of intensities",
+                Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
+                None => "light taken as incoherent",
+            };
+            let modelled = plan.speckle.is_some();
+            let speckle = self.add("speckle", modelled, method, pilot.speckle());
+            let why = format!("grain {:.2} px", plan.speckle_size_px);
+            speckle.why = because(methods.speckle.is_some(), &why);
+            speckle.cost_ms = Some(speckle_ms);
+        }
+        if scene.camera.sensor.noise.is_some() {
+            let method = match plan.noise {
+                true => "drawn for each pixel",
+                false => "counts are the rounded expectation",
+            };
+            let noise = self.add("sensor noise", plan.noise, method, pilot.noise());
+            noise.why = because(methods.noise.is_some(), "shot noise and read noise");
+            noise.cost_ms = Some(noise_ms);
+        }
+    }
 }

@@ -72,6 +72,10 @@ const POISSON_LIMIT: f64 = 1e6;
 
 fn noisy(electrons: f64, noise: Noise, key: Key) -> f64 {
     let mut stream = key.stream();
+    // First, so that pixels of nearly the same light have nearly the same noise however
+    // many numbers the shot noise takes.
+    let read = Normal::new(0.0, noise.read_noise_e).expect("a finite width");
+    let read = read.sample(&mut stream);
     let shot = if electrons <= 0.0 {
         0.0
     } else if electrons > POISSON_LIMIT {
@@ -84,8 +88,7 @@ fn noisy(electrons: f64, noise: Noise, key: Key) -> f64 {
             .expect("a mean above 0 and below 1e6")
             .sample(&mut stream)
     };
-    let read = Normal::new(0.0, noise.read_noise_e).expect("a finite width");
-    shot + read.sample(&mut stream)
+    shot + read
 }
 
 #[cfg(test)]

@@ -262,6 +262,14 @@ impl Pilot {
         })
     }
 
+    /// By how much more speckle would move heights were the line widened by a blur of
+    /// this standard deviation, px: as the root of its width (physics of
+    /// [`centroid_noise`](crate::speckle::theory::centroid_noise)).
+    pub fn widened(&self, blur: f64) -> Vec<HeightError> {
+        let factor = |sigma: f64| (1.0 + (blur / sigma).powi(2)).powf(0.25) - 1.0;
+        self.each(|p| HeightError::random(p.speckle * factor(p.sigma)))
+    }
+
     /// Errors of a plan against the full model.
     pub fn errors(&self, plan: &Plan) -> Vec<HeightError> {
         let mut parts = Vec::new();

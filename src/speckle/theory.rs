@@ -267,3 +267,34 @@ mod tests {
         assert!((law - 0.3905).abs() < 1e-4, "{law}");
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 more: pairs
+    /// of samples summed one by one.
+    #[test]
+    fn samples_miss_what_pairs_of_samples_say() {
+        let mean = |n: usize| {
+            let place = move |i: usize| (i as f64 + 0.5) / n as f64;
+            (0..n * n).map(move |i| DVec2::new(place(i % n), place(i / n)))
+        };
+        for (q, n) in [(1.0, 1), (1.0, 3), (2.5, 2)] {
+            let covariance = |a: usize, b: usize| {
+                let pairs = mean(a).flat_map(|p| mean(b).map(move |r| p - r));
+                let sum: f64 = pairs
+                    .map(|lag| Aperture::Circle.field_correlation(q * lag).powi(2))
+                    .sum();
+                sum / (a * a * b * b) as f64
+            };
+            let pairs = covariance(n, n) + covariance(24, 24) - 2.0 * covariance(n, 24);
+            let found = sampling_deviation(Aperture::Circle, q, n);
+            // Midpoints 24 a side are good to (q/24)²/24·π²/2 of a variance of 1.
+            assert!(
+                (found.powi(2) - pairs).abs() < 3e-3,
+                "{q} {n}: {found} {pairs}"
+            );
+        }
+    }
+}
