@@ -323,7 +323,10 @@ impl Pilot {
             pilot_frames: self.frames.clone(),
             statement: String::new(),
         };
-        accuracy.statement = accuracy.in_words(self.points.is_empty());
+        accuracy.statement = match self.points.is_empty() {
+            true => "no frame that was looked at has a line: nothing could be predicted".into(),
+            false => accuracy.in_words(plan.speckle.is_some()),
+        };
         (plan, accuracy)
     }
 }
@@ -363,20 +366,21 @@ pub fn candidates(base: &Plan, geometry: bool) -> Vec<Plan> {
 }
 
 impl Accuracy {
-    fn in_words(&self, blind: bool) -> String {
+    fn in_words(&self, modelled: bool) -> String {
         let Accuracy {
             tolerance_um,
             planned_um,
             ..
         } = self;
-        if blind {
-            return "no frame that was looked at has a line: nothing could be predicted".into();
-        }
+        let how = match modelled {
+            true => "It is modelled, and all else",
+            false => "It is left out by name, and all is planned",
+        };
         let limit = self.speckle_limit_um.map(|limit| {
             format!(
                 "no sensor with these optics measures single points to {tolerance_um} µm: \
-                 speckle alone moves 1 of 100 by more than {limit:.2} µm. It is modelled, and \
-                 all else to {planned_um:.2} µm. "
+                 speckle alone moves 1 of 100 by more than {limit:.2} µm. {how} to \
+                 {planned_um:.2} µm. "
             )
         });
         let predicted = self.predicted_um.map_or("unknown".into(), |um| {
