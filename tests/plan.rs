@@ -77,6 +77,19 @@ fn a_tolerance_decides_what_is_modelled() {
     );
 }
 
+/// Beside the part nothing says what may be left out.
+#[test]
+fn a_plan_that_sees_no_line_leaves_nothing_out() {
+    let away = with("[accuracy]\nheight_um = 1000\n").replace("[0, -0.5, 0]", "[0, 50, 0]");
+    let folder = folder_with(&away);
+    let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
+    assert!(
+        plan["geometry_only"] == false && plan["noise"] == true,
+        "{plan}"
+    );
+    assert_eq!(plan["accuracy"]["sufficient"], false);
+}
+
 /// The full model errs by nothing against itself; what is on the front no other beats;
 /// one plan is chosen; and no fragment of a file is left.
 #[test]

@@ -160,7 +160,8 @@ impl Compared<'_> {
             let off = |rows: &[Option<f64>]| rows[column].map(|row| row - peak.row);
             Some(PilotPoint {
                 um_per_px: jacobian.by_pixel[1].length() * 1e3,
-                sigma: peak.sigma,
+                // A line within one pixel measures as of no width.
+                sigma: peak.sigma.max(0.1),
                 speckle,
                 noise,
                 dark,

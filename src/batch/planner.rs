@@ -72,8 +72,14 @@ pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> R
         &base,
         geometry && scene.methods.geometry_only != Some(false),
     );
-    let plans: Vec<Plan> = plans.into_iter().map(|plan| named(scene, plan)).collect();
+    let own = std::iter::once(base.clone());
+    let plans = own.chain(plans).map(|plan| named(scene, plan));
+    let mut plans: Vec<Plan> = plans.collect();
     let pilot = pilot(scene, accel, &base, &plans)?;
+    if pilot.points.is_empty() {
+        // Nothing speaks for leaving anything out.
+        plans.truncate(1);
+    }
     let (mut plan, accuracy) = pilot.choose(plans, tolerance);
     plan.effects = effects(scene, &pilot, &base, &plan);
     plan.accuracy = Some(accuracy);

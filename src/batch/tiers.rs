@@ -269,7 +269,7 @@ pub struct HeightErrors {
     /// Half of what holds the middle 68.3 of 100 differences, µm.
     pub noise_um: f64,
     /// 99 of 100 are within ± this, µm, lost points being beyond all; `None` if more
-    /// are lost.
+    /// are lost, and without points.
     pub within_um: Option<f64>,
     /// Share that is missing here.
     pub lost: f64,
@@ -315,7 +315,7 @@ impl HeightErrors {
             points: sorted.len(),
             bias_um: at(there, 0.5),
             noise_um: (at(there, 0.8413) - at(there, 0.1587)) / 2.0,
-            within_um: Some(at(&sizes, 0.99)).filter(|um| um.is_finite()),
+            within_um: Some(at(&sizes, 0.99)).filter(|um| um.is_finite() && !sizes.is_empty()),
             lost: missing as f64 / sorted.len().max(1) as f64,
             sorted,
         }

@@ -318,7 +318,7 @@ impl Pilot {
             speckle_limit_um: scatter,
             predicted_um: quantile(&errors),
             predicted_share: share_beyond(&errors, planned_um),
-            sufficient: !insufficient,
+            sufficient: !insufficient && !self.points.is_empty(),
             cost_ms: self.cost_ms(&plan),
             pilot_frames: self.frames.clone(),
             statement: String::new(),
