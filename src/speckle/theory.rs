@@ -266,11 +266,6 @@ mod tests {
         let law = centroid_noise(2.0, 8.0, 0.5) / (16f64.sqrt() * 0.5);
         assert!((law - 0.3905).abs() < 1e-4, "{law}");
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
 
     /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 more: pairs
     /// of samples summed one by one.
