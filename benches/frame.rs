@@ -5,7 +5,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
 use lasertrace::batch::Simulation;
 use lasertrace::inspect::picture::encode_counts;
-use lasertrace::integrator::footprint_image;
+use lasertrace::integrator::{Irradiance, footprint_image};
 use lasertrace::scene::Scene;
 use std::path::Path;
 use std::time::Instant;
@@ -31,7 +31,7 @@ fn stages(c: &mut Criterion) {
     assert_eq!(irradiance, simulation.irradiance(FRAME));
     assert!(points.len() > columns / 2, "{} points", points.len());
     // Speckle has mean 1 over ~3000 grains of the line: 5 standard deviations.
-    let light = |image: &[f32]| image.iter().map(|&e| e as f64).sum::<f64>();
+    let light = |image: &Irradiance| image.dense().iter().map(|&e| e as f64).sum::<f64>();
     let ratio = light(&irradiance) / light(&footprint_image(&plain, &clusters));
     assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
 

@@ -78,6 +78,7 @@ impl Setup {
             sampling: Sampling::Planes,
             cutoff_radii: CUTOFF_RADII,
         })
+        .dense()
     }
 }
 

@@ -392,16 +392,13 @@ fn truncated_files_are_refused() {
     }
 }
 
+/// Every byte of every format as each other value, missing, and twice.
 #[test]
 fn no_changed_or_missing_byte_brings_a_reader_down() {
     for (_, bytes, _) in tetrahedra() {
         for at in 0..bytes.len() {
             let mut changed = bytes.clone();
-            for value in [0x01, 0x02, 0x10, 0x20, 0x80, 0xff]
-                .map(|flip| bytes[at] ^ flip)
-                .into_iter()
-                .chain(*b"\0\n\r\\#-9 ")
-            {
+            for value in 0..=255 {
                 changed[at] = value;
                 parse(&changed);
             }

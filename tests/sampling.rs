@@ -42,9 +42,9 @@ fn lines_lie_where_a_ray_for_every_sample_has_them() {
     for frame in [20, 55, 110, 170] {
         let mut view = simulation.view(frame);
         assert!(view.sampling == Sampling::Planes && view.samples_per_side > 1);
-        let planes = centroids(&footprint_image(&view, &clusters), columns);
+        let planes = centroids(&footprint_image(&view, &clusters).dense(), columns);
         view.sampling = Sampling::Rays;
-        let rays = centroids(&footprint_image(&view, &clusters), columns);
+        let rays = centroids(&footprint_image(&view, &clusters).dense(), columns);
         for (a, b) in planes.iter().zip(&rays) {
             if let (Some(a), Some(b)) = (a, b) {
                 shifts.push((a - b).abs());

@@ -131,7 +131,7 @@ fn speckle_on_a_rotary_table_changes_a_little_from_frame_to_frame() {
     let scene = load(folder.path());
     let simulation = Simulation::new(&scene).unwrap();
     let images: Vec<Vec<f32>> = [0, 1, 1000, 1001, 2000]
-        .map(|frame| simulation.irradiance(frame))
+        .map(|frame| simulation.irradiance(frame).dense())
         .into();
     let correlation = |a: &[f32], b: &[f32]| {
         let lit: Vec<(f64, f64)> = a
@@ -191,7 +191,7 @@ fn motion_in_the_exposure_widens_the_line_as_predicted() {
     let scene_of = |more: &str| load(scan(more).path());
     let (rest, one) = (scene_of(""), scene_of("frame_rate_hz = 50000"));
     let eight = scene_of("frame_rate_hz = 50000\nexposure_poses = 8");
-    let image = |scene: &Scene| Simulation::new(scene).unwrap().irradiance(1);
+    let image = |scene: &Scene| Simulation::new(scene).unwrap().irradiance(1).dense();
     let still = image(&rest);
     assert!(still == image(&one), "one pose is the frame's own");
     let smeared = image(&eight);

@@ -3,7 +3,7 @@
 
 mod program;
 
-use program::{PLANE, assert_error, folder_with, run, scene};
+use program::{PLANE, assert_error, folder_with, numbers, run, scene};
 use std::fs;
 use std::path::Path;
 
@@ -176,32 +176,6 @@ fn a_wrong_scene_is_refused_with_file_line_key_found_and_expected() {
         65,
         &["byte 7", "UTF-8"],
     );
-}
-
-/// Each number of the scene file, with the dotted key it belongs to.
-fn numbers(text: &str) -> Vec<(String, std::ops::Range<usize>)> {
-    let mut found = Vec::new();
-    let mut table = String::new();
-    let mut start = 0;
-    for line in text.split_inclusive('\n') {
-        if let Some(name) = line.trim_end().strip_prefix('[') {
-            table = format!("{}.", name.trim_end_matches(']'));
-        } else if let Some((name, value)) = line.split_once(" = ") {
-            let mut key = format!("{table}{name}");
-            let mut at = start + line.len() - value.len();
-            for piece in value.split_inclusive([' ', ',', '[', ']', '{', '}', '\n']) {
-                let word = piece.trim_end_matches([' ', ',', '[', ']', '{', '}', '\n']);
-                if word.parse::<f64>().is_ok() {
-                    found.push((key.clone(), at..at + word.len()));
-                } else if word.starts_with(char::is_alphabetic) && value.starts_with('{') {
-                    key = format!("{table}{name}.{word}");
-                }
-                at += piece.len();
-            }
-        }
-        start += line.len();
-    }
-    found
 }
 
 const PARTS: [&str; 4] = [

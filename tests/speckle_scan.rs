@@ -100,7 +100,10 @@ fn grains_move_with_the_surface_that_bears_them() {
         let expected = DVec2::from(pixels);
         assert!((moved - expected).length() < 0.05, "{moved} {expected}");
 
-        let (a, b) = (simulation.irradiance(0), simulation.irradiance(1));
+        let (a, b) = (
+            simulation.irradiance(0).dense(),
+            simulation.irradiance(1).dense(),
+        );
         let mut best = (f64::NEG_INFINITY, [0, 0]);
         for dy in -10..=10 {
             for dx in -10..=10 {
@@ -124,10 +127,10 @@ fn grains_move_with_the_surface_that_bears_them() {
 fn the_image_has_the_contrast_of_integrated_speckle() {
     for tilt in [0.0, 12.0] {
         let scene = scene(DVec3::Y * 0.01, tilt);
-        let with = Simulation::new(&scene).unwrap().irradiance(0);
+        let with = Simulation::new(&scene).unwrap().irradiance(0).dense();
         let mut plain = scene;
         plain.speckle = None;
-        let without = Simulation::new(&plain).unwrap().irradiance(0);
+        let without = Simulation::new(&plain).unwrap().irradiance(0).dense();
         let ratios: Vec<f64> = with
             .iter()
             .zip(&without)
@@ -203,9 +206,9 @@ fn out_of_focus_the_pattern_moves_by_the_formula_all_along_the_scan() {
     let with = Simulation::new(&scene).unwrap();
     assert!(with.plan.speckle_slips, "{:?}", with.plan.effects);
     let frames = [0, 1, 12, 13, 14, 25, 26, 27, 28];
-    let images: Vec<Vec<f32>> = frames.iter().map(|&k| with.irradiance(k)).collect();
+    let images: Vec<Vec<f32>> = frames.iter().map(|&k| with.irradiance(k).dense()).collect();
     let plain = out_of_focus_scene(step, false);
-    let plain = Simulation::new(&plain).unwrap().irradiance(0);
+    let plain = Simulation::new(&plain).unwrap().irradiance(0).dense();
     let speckle: Vec<Vec<f32>> = (images.iter())
         .map(|image| image.iter().zip(&plain).map(|(a, b)| a / b).collect())
         .collect();

@@ -1,7 +1,7 @@
 //! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before they
 //! are narrowed to f32, so that a far-off part costs no digits.
 
-use super::hierarchy::PartBox;
+use super::hierarchy::{PartBox, Side};
 use super::refine::nearest_on_triangle;
 use super::{Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
@@ -63,7 +63,12 @@ pub(super) struct Device {
 
 impl Device {
     pub(super) fn new(threads: usize) -> Result<Device> {
-        let config = CString::new(format!("threads={threads}")).expect("no NUL in it");
+        Device::configured(&format!("threads={threads}"))
+    }
+
+    /// With settings as `rtcNewDevice` takes them.
+    fn configured(settings: &str) -> Result<Device> {
+        let config = CString::new(settings).expect("no NUL in it");
         let mut code = 0;
         // SAFETY: both pointers are valid for the call.
         let handle = unsafe { ffi::lt_device_new(config.as_ptr(), &mut code) };
@@ -268,13 +273,17 @@ impl<'m> Tree<'m> {
         (valid, packet, advanced)
     }
 
-    /// Calls `found` for each ray that meets the mesh, with its number, the triangle
-    /// and the distance (mm).
+    pub(super) fn mesh(&self) -> &'m Mesh {
+        self.mesh
+    }
+
+    /// Calls `found` for each ray that meets the mesh, with its number, the triangle,
+    /// the distance (mm), and whether it comes to the triangle's front or back.
     pub(super) fn closest(
         &self,
         rays: &[Ray],
         part: &PartBox,
-        mut found: impl FnMut(usize, u32, f64),
+        mut found: impl FnMut(usize, u32, f64, Side),
     ) {
         let (valid, ray, advanced) = Tree::pack(rays, part);
         let mut packet = ffi::RTCRayHit16 {
@@ -288,9 +297,14 @@ impl<'m> Tree<'m> {
         // aligned and of the linked library's own layout.
         unsafe { ffi::lt_intersect16(self.scene, true, valid.0.as_ptr(), &mut packet) };
         for (i, advanced) in advanced.iter().enumerate().take(rays.len()) {
-            if packet.hit.geomID[i] != ffi::LT_NO_GEOMETRY {
+            let hit = &packet.hit;
+            if hit.geomID[i] != ffi::LT_NO_GEOMETRY {
                 let t = advanced + packet.ray.tfar[i] as f64;
-                found(i, packet.hit.primID[i], t);
+                let along = hit.Ng_x[i] * packet.ray.dir_x[i]
+                    + hit.Ng_y[i] * packet.ray.dir_y[i]
+                    + hit.Ng_z[i] * packet.ray.dir_z[i];
+                let side = if along > 0.0 { Side::Back } else { Side::Front };
+                found(i, hit.primID[i], t, side);
             }
         }
     }

@@ -67,3 +67,36 @@ fn an_error_of_embree_becomes_an_error() {
     assert!(scene.is_null());
     assert!(device.check().is_err());
 }
+
+/// Embree takes the widest instructions the processor has. With narrower ones rays at
+/// a triangle's inside meet the same triangle, at a distance that differs in f32 and,
+/// refined in f64, not at all. Of 20 000 rays at 300 triangles of edge 1 mm 0.1 are
+/// expected within f32's 2e-6 mm of an edge, as against brute force.
+#[test]
+fn other_instructions_meet_the_same_triangles() {
+    let mesh = soup();
+    let part = PartBox::new(&mesh);
+    let rays = rays_at(&mesh, 20_000);
+    let met = |settings: &str| {
+        let device = Device::configured(settings).unwrap();
+        let tree = Tree::filled(device, &mesh, &part, true).unwrap();
+        tree.commit(&|_| Ok(())).unwrap();
+        let mut met = vec![(None, 0.0); rays.len()];
+        for (packet, rays) in rays.chunks(WIDTH).enumerate() {
+            tree.closest(rays, &part, |i, triangle, t, side| {
+                met[packet * WIDTH + i] = (Some((triangle, side)), t);
+            });
+        }
+        met
+    };
+    let own = met("threads=1");
+    assert!(own.iter().filter(|(met, _)| met.is_some()).count() > 5_000);
+    for isa in ["sse2", "avx", "avx2"] {
+        let other = met(&format!("threads=1,isa={isa}"));
+        let both = || own.iter().zip(&other);
+        let others = both().filter(|(a, b)| a.0 != b.0).count();
+        let moved = both().filter(|(a, b)| a.1 != b.1).count();
+        println!("{isa}: {others} other triangles, {moved} other distances");
+        assert!(others <= 2, "{isa}: {others}");
+    }
+}

@@ -2,6 +2,8 @@
 //! the triangle, and what is done in f64 around it is the same for all backends.
 
 #[cfg(feature = "embree")]
+use super::astray::{self, Backs};
+#[cfg(feature = "embree")]
 use super::embree;
 use super::refine::{Tolerance, nearest_on_triangle, refine};
 use super::{Hit, Nearest, Ray, WIDTH, rust_bvh};
@@ -84,6 +86,11 @@ impl PartBox {
         (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
     }
 
+    /// See [`Accel::refinement`].
+    pub fn refinement(&self) -> f64 {
+        self.bounds.size().length() * 1e-3
+    }
+
     /// Distances between which the ray is inside the box.
     fn interval(&self, ray: &Ray) -> Option<(f64, f64)> {
         let margin = DVec3::splat(2.0 * self.resolution());
@@ -113,6 +120,15 @@ impl PartBox {
             length: leave - advanced,
         })
     }
+}
+
+/// The side of a triangle that a ray meets: front if its corners are seen in
+/// counter-clockwise order.
+#[cfg(feature = "embree")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Side {
+    Front,
+    Back,
 }
 
 enum Tree<'m> {
@@ -184,7 +200,7 @@ impl<'m> Accel<'m> {
     /// Greatest difference between the distance the backend finds and the one that
     /// is taken after refinement, mm.
     pub fn refinement(&self) -> f64 {
-        self.part.bounds.size().length() * 1e-3
+        self.part.refinement()
     }
 
     /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
@@ -208,7 +224,18 @@ impl<'m> Accel<'m> {
         };
         match &self.tree {
             #[cfg(feature = "embree")]
-            Tree::Embree(tree) => tree.closest(rays, &self.part, found),
+            Tree::Embree(tree) => {
+                let (mut found, mut backs) = (found, Backs::default());
+                tree.closest(rays, &self.part, |i, triangle, t, side| {
+                    if side == Side::Back {
+                        backs.add(i, t);
+                    }
+                    found(i, triangle, t);
+                });
+                astray::seek(tree, &self.part, rays, &backs, |i, hit| {
+                    hits[i] = Some(hit).filter(|hit| wanted(i, hit.t));
+                });
+            }
             Tree::Rust(tree) => tree.closest(rays, &self.part, found),
         }
         hits

@@ -2,6 +2,8 @@
 //! the point on it in f64; `brute` is the slow oracle they are tested against.
 //! Everything here is in the part's own frame (mm).
 
+#[cfg(feature = "embree")]
+mod astray;
 pub mod brute;
 mod clusters;
 #[cfg(feature = "embree")]

@@ -95,8 +95,35 @@ pub fn nearest_on_triangle([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     if va <= 0.0 && d4 >= d3 && d5 >= d6 {
         return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
     }
-    let sum = va + vb + vc;
-    a + ab * (vb / sum) + ac * (vc / sum)
+    let across = ab.cross(ac);
+    let longest = ab.length_squared().max(ac.length_squared());
+    if across.length_squared() <= (SLIVER * longest).powi(2) {
+        return nearest_on_border([a, b, c], p);
+    }
+    // Not a + ab·vb/sum + ac·vc/sum: in a sliver 10⁻⁶ as wide as long that is off
+    // along it by 10⁻⁴ of its length, for the sum is the square of its area.
+    p - across * (across.dot(p - a) / across.length_squared())
+}
+
+/// Height over longest side below which a triangle's plane is not known well enough to
+/// stand on: its normal is off by 2⁻⁵³ over that.
+const SLIVER: f64 = 1e-8;
+
+/// The nearest point of the three sides.
+fn nearest_on_border([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
+    let on_side = |from: DVec3, to: DVec3| {
+        let side = to - from;
+        // NaN for a side of no length, which the clamp of NaN would keep.
+        let along = side.dot(p - from) / side.length_squared();
+        from + side * if along > 0.0 { along.min(1.0) } else { 0.0 }
+    };
+    let mut best = on_side(a, b);
+    for other in [on_side(b, c), on_side(c, a)] {
+        if other.distance_squared(p) < best.distance_squared(p) {
+            best = other;
+        }
+    }
+    best
 }
 
 #[cfg(test)]
@@ -128,6 +155,35 @@ mod tests {
                 found <= best + 1e-12 && best - found < 0.03,
                 "{p}: {found} {best}"
             );
+        }
+    }
+
+    /// Slivers down to no width: the point found is as near as the best of a dense
+    /// sampling of the sides and the middle line, to that sampling's step along it.
+    #[test]
+    fn the_nearest_point_of_a_sliver_is_on_it() {
+        let key = Key::new(6, Purpose::SensorNoise);
+        let random = |i: u64, half: f64| {
+            DVec3::from_array(std::array::from_fn(|j| {
+                (key.with(i).uniform(j as u64) * 2.0 - 1.0) * half
+            }))
+        };
+        for width in [1e-3, 1e-6, 1e-8, 1e-10, 1e-14, 0.0] {
+            for i in 0..500 {
+                let tip = random(3 * i, 10.0);
+                let corners = [DVec3::ZERO, tip, tip + random(3 * i + 1, 10.0 * width)];
+                let p = random(3 * i + 2, 6.0);
+                let found = nearest_on_triangle(corners, p);
+                let along = (p.dot(tip) / tip.length_squared()).clamp(0.0, 1.0);
+                // The sliver is within its width of its side from the origin to the tip.
+                let bound = 10.0 * width * 3f64.sqrt() + 1e-6;
+                assert!(
+                    found.distance(p) <= (tip * along).distance(p) + bound,
+                    "{width} {i}"
+                );
+                let on = (found.dot(tip) / tip.length_squared()).clamp(0.0, 1.0);
+                assert!(found.distance(tip * on) <= bound, "{width} {i}: {found}");
+            }
         }
     }
 

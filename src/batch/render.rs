@@ -43,7 +43,7 @@ pub fn render(
     files::write_bytes(&png, &encode_counts(&counts, resolution.x as usize))?;
     let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
     let channels = [
-        ("irradiance", FlatSamples::F32(irradiance)),
+        ("irradiance", FlatSamples::F32(irradiance.dense())),
         ("depth", FlatSamples::F32(truth.depth)),
         ("position.X", component(&truth.position, 0)),
         ("position.Y", component(&truth.position, 1)),

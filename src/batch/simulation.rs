@@ -8,7 +8,7 @@ use crate::accel::{Accel, Clusters};
 use crate::camera::{DARK_GROUP, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{Plan, Sheet, View, footprint_image, irradiance_image};
+use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, Rigid};
 use crate::mesh::Watch;
@@ -148,9 +148,8 @@ impl<'s> Simulation<'s> {
         }
     }
 
-    /// Irradiance on the sensor in a frame, mW/mm², the mean over the poses of its
-    /// exposure.
-    pub fn irradiance(&self, frame: u32) -> Vec<f32> {
+    /// The light on the sensor in a frame, the mean over the poses of its exposure.
+    pub fn irradiance(&self, frame: u32) -> Irradiance {
         let image = |place| {
             let view = self.view_at(place);
             match &self.clusters {
@@ -158,48 +157,36 @@ impl<'s> Simulation<'s> {
                 None => irradiance_image(&view),
             }
         };
-        let mut places = self.scene.scan.exposure_places(frame);
-        let mut mean = image(places.next().expect("an exposure has a pose"));
-        let share = 1.0 / self.scene.scan.exposure_poses as f32;
-        if share < 1.0 {
-            mean.iter_mut().for_each(|e| *e *= share);
-        }
-        for place in places {
-            for (mean, e) in mean.iter_mut().zip(image(place)) {
-                *mean += e * share;
-            }
-        }
-        mean
+        let places = self.scene.scan.exposure_places(frame);
+        Irradiance::mean(places.map(image).collect())
     }
 
-    /// What the sensor makes of an irradiance image.
-    pub fn counts(&self, frame: u32, irradiance: &[f32]) -> Vec<u16> {
+    /// What the sensor makes of the light.
+    pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Vec<u16> {
         let sensor = &self.sensor;
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
-        let dark_key = key.with(DARK);
-        // Without noise dark pixels are all alike.
-        let mut counts = vec![sensor.count(0.0, dark_key); irradiance.len()];
-        let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP);
-        tasks
-            .zip(irradiance.par_chunks(DARK_GROUPS * DARK_GROUP))
-            .enumerate()
-            .for_each(|(task, (counts, irradiance))| {
-                let group = task * DARK_GROUPS;
-                let first = group * DARK_GROUP;
-                if let Some(dark) = &self.dark {
-                    for (i, counts) in counts.chunks_mut(DARK_GROUP).enumerate() {
-                        let bits = dark_key.bits((group + i) as u64);
-                        dark.draw(counts, bits, |k| pixel(first + i * DARK_GROUP + k));
-                    }
-                }
-                for (i, (count, &e)) in counts.iter_mut().zip(irradiance).enumerate() {
-                    if e != 0.0 {
-                        *count = sensor.count(e as f64 * electrons, pixel(first + i));
-                    }
+        let columns = irradiance.columns();
+        let mut counts = vec![sensor.count(0.0, key); columns * irradiance.rows()];
+        if let Some(dark) = &self.dark {
+            let dark_key = key.with(DARK);
+            let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP).enumerate();
+            tasks.for_each(|(task, counts)| {
+                let groups = counts.chunks_mut(DARK_GROUP);
+                for (group, counts) in (task * DARK_GROUPS..).zip(groups) {
+                    let first = group * DARK_GROUP;
+                    dark.draw(counts, dark_key.bits(group as u64), |k| pixel(first + k));
                 }
             });
+        }
+        let rows = counts.par_chunks_mut(columns).enumerate();
+        rows.for_each(|(row, counts)| {
+            for (column, e) in irradiance.row(row).filter(|&(_, e)| e != 0.0) {
+                let key = pixel(row * columns + column);
+                counts[column] = sensor.count(e as f64 * electrons, key);
+            }
+        });
         counts
     }
 }

@@ -98,7 +98,7 @@ impl Histogram<'_> {
 /// Bar of the colours from `low` to `high`, with `unit` at its middle.
 pub fn color_bar(low: f64, high: f64, unit: &str, color: &dyn Fn(f64) -> Rgb) -> String {
     let mut svg = format!(
-        "<svg viewBox=\"0 0 440 44\" class=\"bar\" role=\"img\" \
+        "<svg viewBox=\"-20 0 480 44\" class=\"bar\" role=\"img\" \
          aria-label=\"colours from {} to {} {unit}\">",
         short(low),
         short(high)

@@ -4,8 +4,10 @@
 //! profile and the speckle.
 
 use super::footprint::footprint;
+use super::irradiance::Irradiance;
 use super::lit::{Center, LitRays};
 use super::pixels::Pixels;
+use super::samples::Grid;
 use super::sight::Sight;
 use super::speckle::{Reader, Speckle};
 use crate::accel::{Accel, Clusters, WIDTH};
@@ -49,50 +51,48 @@ pub enum Sampling {
     Planes,
 }
 
-/// Irradiance on the sensor averaged over each pixel, mW/mm², row by row.
-/// The same bytes for any number of threads: pixels are summed one by one, each
-/// in a fixed order. Takes every pixel; [`footprint_image`] gives the same.
-pub fn irradiance_image(view: &View) -> Vec<f32> {
+/// The light on the sensor. The same bytes for any number of threads: pixels are
+/// summed one by one, each in a fixed order. Takes every pixel; of those that
+/// [`footprint_image`] takes it gives the same, and of the others zero.
+pub fn irradiance_image(view: &View) -> Irradiance {
     let sight = Sight::new(view.camera, &view.part_from_camera);
-    trace(view, &sight, &Pixels::all(view.camera.sensor.resolution))
+    trace(view, &sight, Pixels::all(view.camera.sensor.resolution))
 }
 
-/// The bytes of [`irradiance_image`], for which only those pixels are taken that
-/// may see lit surface; `clusters` are those of the view's mesh.
-pub fn footprint_image(view: &View, clusters: &Clusters) -> Vec<f32> {
+/// [`irradiance_image`] of those pixels alone that may see lit surface; `clusters`
+/// are those of the view's mesh.
+pub fn footprint_image(view: &View, clusters: &Clusters) -> Irradiance {
     let sight = Sight::new(view.camera, &view.part_from_camera);
-    trace(view, &sight, &footprint(view, &sight, clusters))
+    trace(view, &sight, footprint(view, &sight, clusters))
 }
 
 /// Rows of a task: enough that two more at its ends cost little, and few enough
 /// that there are some to share out.
 const ROWS_PER_TASK: usize = 32;
 
-/// The image of the light that these pixels see.
-fn trace(view: &View, sight: &Sight, pixels: &Pixels) -> Vec<f32> {
-    let columns = pixels.columns;
+/// The light that these pixels see.
+fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
     let frame = Frame {
         lit: LitRays::new(view, sight),
-        pixels,
-        side: view.samples_per_side as usize,
+        pixels: &pixels,
+        grid: Grid::new(view.samples_per_side as usize),
         speckle: view
             .speckle
-            .map(|speckle| Reader::new(&speckle, view.camera, pixels)),
+            .map(|speckle| Reader::new(&speckle, view.camera, &pixels)),
     };
-    let mut image = vec![0.0f32; columns * pixels.rows];
-    image
-        .par_chunks_mut(columns * ROWS_PER_TASK)
-        .enumerate()
-        .for_each(|(task, image)| frame.render(task * ROWS_PER_TASK, image));
-    image
+    let tasks = (0..pixels.rows).into_par_iter().step_by(ROWS_PER_TASK);
+    let window = || std::array::from_fn(|_| vec![Center::Nothing; pixels.columns]);
+    let values: Vec<Vec<f32>> = tasks
+        .map_init(window, |window, first| frame.render(first, window))
+        .collect();
+    Irradiance::new(pixels, values.concat())
 }
 
 /// A view with what its pixels share computed once.
 struct Frame<'a> {
     lit: LitRays<'a>,
     pixels: &'a Pixels,
-    /// Samples along each side of a pixel.
-    side: usize,
+    grid: Grid,
     speckle: Option<Reader<'a>>,
 }
 
@@ -103,23 +103,23 @@ const WINDOW: usize = 3;
 type Window = [Vec<Center>; WINDOW];
 
 impl Frame<'_> {
-    /// Sets the pixels of the rows from `first` on.
-    fn render(&self, first: usize, image: &mut [f32]) {
-        let rows = first..first + image.len() / self.pixels.columns;
-        if !self.pixels.any(rows.clone()) {
-            return;
+    /// Irradiance (mW/mm²) of the pixels of the rows from `first` on.
+    fn render(&self, first: usize, window: &mut Window) -> Vec<f32> {
+        let rows = first..(first + ROWS_PER_TASK).min(self.pixels.rows);
+        let mut values = Vec::with_capacity(rows.clone().map(|row| self.pixels.count(row)).sum());
+        if values.capacity() == 0 {
+            return values;
         }
         // How far around a pixel centres matter to it.
-        let around = match (self.lit.view.sampling, self.side) {
+        let around = match (self.lit.view.sampling, self.grid.count()) {
             (_, 1) => 0,
             (Sampling::Planes, _) => 1,
             (Sampling::Rays, _) => {
-                self.each(rows, image, |column, row| self.sampled(column, row));
-                return;
+                let pixels = rows.flat_map(|row| self.pixels.of(row).map(move |c| (c, row)));
+                values.extend(pixels.map(|(column, row)| self.sampled(column, row) as f32));
+                return values;
             }
         };
-        let mut window: Window =
-            std::array::from_fn(|_| vec![Center::Nothing; self.pixels.columns]);
         let trace = |row: usize, window: &mut Window| {
             for first in self.pixels.blocks(row, around) {
                 self.lit
@@ -129,28 +129,13 @@ impl Frame<'_> {
         let mut next = first.saturating_sub(around);
         for row in rows {
             while next <= row + around && next < self.pixels.rows {
-                trace(next, &mut window);
+                trace(next, window);
                 next += 1;
             }
-            let image = &mut image[(row - first) * self.pixels.columns..];
-            self.each(row..row + 1, image, |column, row| {
-                self.pixel(column, row, around, &window)
-            });
+            let columns = self.pixels.of(row);
+            values.extend(columns.map(|column| self.pixel(column, row, around, window) as f32));
         }
-    }
-
-    /// Sets the pixels of `rows`.
-    fn each(
-        &self,
-        rows: std::ops::Range<usize>,
-        image: &mut [f32],
-        light: impl Fn(usize, usize) -> f64,
-    ) {
-        for (i, row) in rows.enumerate() {
-            for column in self.pixels.of(row) {
-                image[i * self.pixels.columns + column] = light(column, row) as f32;
-            }
-        }
+        values
     }
 
     /// Mean irradiance of a pixel.
@@ -169,47 +154,28 @@ impl Frame<'_> {
         }
         match here {
             Center::Lit(light, plane) => {
-                let samples =
-                    self.samples(column, row, &self.lit.from_laser)
-                        .map(|(place, to_sensor)| {
-                            light.share_at(plane, to_sensor, &self.lit)
-                                * self.speckle(place, light.depth)
-                        });
-                light.irradiance * samples.sum::<f64>() / (self.side * self.side) as f64
+                let centre = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
+                let speckle = self.speckle.as_ref();
+                light.irradiance * self.grid.mean(centre, light, plane, &self.lit, speckle)
             }
             _ => 0.0,
         }
     }
 
-    /// Places of a pixel's samples on the sensor, and from the eye towards what they
-    /// see, any length.
-    fn samples<'a>(
-        &self,
-        column: usize,
-        row: usize,
-        sight: &'a Sight,
-    ) -> impl Iterator<Item = (DVec2, DVec3)> + use<'a> {
-        let side = self.side;
-        let corner = DVec2::new(column as f64, row as f64);
-        let mut bend = DVec2::ZERO;
-        (0..side * side).map(move |i| {
-            let place = DVec2::new((i % side) as f64 + 0.5, (i / side) as f64 + 0.5);
-            let place = corner + place / side as f64;
-            (place, sight.towards(sight.to_sensor(place), &mut bend))
-        })
-    }
-
     /// Mean irradiance of a pixel by a ray for each sample.
     fn sampled(&self, column: usize, row: usize) -> f64 {
+        let sight = self.lit.sight;
+        let mut bend = DVec2::ZERO;
         let mut sum = 0.0;
-        let mut samples = self.samples(column, row, self.lit.sight);
+        let mut samples = self.grid.places(column, row);
         loop {
             let mut places = [DVec2::ZERO; WIDTH];
             let mut directions = [DVec3::Z; WIDTH];
             let mut count = 0;
-            for (place, to_sensor) in samples.by_ref().take(WIDTH) {
+            for place in samples.by_ref().take(WIDTH) {
                 places[count] = place;
-                directions[count] = to_sensor.normalize();
+                let towards = sight.towards(sight.to_sensor(place), &mut bend);
+                directions[count] = towards.normalize();
                 count += 1;
             }
             if count == 0 {
@@ -220,17 +186,12 @@ impl Frame<'_> {
             self.lit.look(places, &directions[..count], &mut centers);
             for (&place, center) in places.iter().zip(&centers) {
                 if let Center::Lit(light, _) = center {
-                    let share = light.share * self.speckle(place, light.depth);
-                    sum += light.irradiance * share;
+                    let reader = self.speckle.as_ref();
+                    let speckle = reader.map_or(1.0, |reader| reader.intensity(place, light.depth));
+                    sum += light.irradiance * light.share * speckle;
                 }
             }
         }
-        sum / (self.side * self.side) as f64
-    }
-
-    #[inline(always)]
-    fn speckle(&self, place: DVec2, depth: f64) -> f64 {
-        let reader = self.speckle.as_ref();
-        reader.map_or(1.0, |reader| reader.intensity(place, depth))
+        sum / self.grid.count() as f64
     }
 }

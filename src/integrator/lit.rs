@@ -28,8 +28,8 @@ pub(super) enum Center {
 /// The surface that a ray meets, in the laser's frame.
 #[derive(Clone, Copy)]
 pub(super) struct Plane {
-    point: DVec3,
-    normal: DVec3,
+    pub point: DVec3,
+    pub normal: DVec3,
     /// Greatest distance (mm) from it of neighbours that count as on it.
     tolerance: f64,
 }
@@ -43,7 +43,7 @@ pub(super) struct Light {
     pub share: f64,
     /// Of what is seen, along the camera's axis, mm.
     pub depth: f64,
-    section: Section,
+    pub section: Section,
 }
 
 impl Center {
@@ -72,21 +72,6 @@ impl Center {
             }
             _ => false,
         }
-    }
-}
-
-impl Light {
-    /// What the beam's profile leaves of the light at the point of the plane that is
-    /// seen along `towards` (laser's frame, any length), of that in the middle.
-    #[inline(always)]
-    pub fn share_at(&self, plane: &Plane, towards: DVec3, rays: &LitRays) -> f64 {
-        let eye = rays.from_laser.eye;
-        let way = plane.normal.dot(plane.point - eye) / plane.normal.dot(towards);
-        if !(way > 0.0 && way < f64::MAX) {
-            return 0.0;
-        }
-        let off_middle = rays.view.laser.off_middle_squared(eye + towards * way);
-        self.section.gaussian(off_middle)
     }
 }
 
@@ -197,7 +182,7 @@ impl<'a> LitRays<'a> {
         let Some(section) = section else {
             return (Center::Unlit(plane), None);
         };
-        let r2 = laser.off_middle_squared(point);
+        let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * section.radius).powi(2) {
             return (Center::Dark(plane), None);
         }

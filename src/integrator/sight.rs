@@ -54,6 +54,22 @@ impl Sight {
         *axes * x.extend(1.0)
     }
 
+    /// [`Self::towards`] a place on the sensor, and how that changes by column and by
+    /// row within a pixel.
+    pub fn around(&self, place: DVec2) -> (DVec3, [DVec3; 2]) {
+        let to_sensor = self.to_sensor(place);
+        if self.distortion.is_none() {
+            return (to_sensor, [self.column, self.row]);
+        }
+        let mut bend = DVec2::ZERO;
+        let direction = self.towards(to_sensor, &mut bend);
+        let steps = [self.column, self.row].map(|step| {
+            let mut at = |share: f64| self.towards(to_sensor + step * share, &mut bend);
+            at(0.5) - at(-0.5)
+        });
+        (direction, steps)
+    }
+
     /// Irradiance at a place on the sensor per radiance of what it sees there, sr.
     pub fn solid_angle(&self, place: DVec2) -> f64 {
         let to_sensor = self.to_sensor(place);

@@ -53,6 +53,8 @@ pub(super) struct Reader<'a> {
     camera: &'a Camera,
     map: GrainMap,
     displacement: DVec2,
+    /// Texels by column and by row, where they are the same all over the sensor.
+    steps: Option<[DVec2; 2]>,
     source: Source<'a>,
 }
 
@@ -107,42 +109,93 @@ impl<'a> Reader<'a> {
                 focus: Focus::new(camera),
             },
         };
+        let step = |mm: DVec2| map.displacement(mm * camera.sensor.pixel_pitch);
         Reader {
             camera,
             map,
             displacement,
+            steps: map.is_even().then(|| [DVec2::X, DVec2::Y].map(step)),
             source,
         }
     }
 
     /// Speckle intensity, mean 1, at a place (column, row) on the sensor that sees
     /// a point `depth` mm from the lens along its axis.
-    #[inline(always)]
     pub fn intensity(&self, place: DVec2, depth: f64) -> f64 {
-        let at = |place: DVec2| {
-            let screen = self.camera.screen(place);
-            self.map.position(screen, self.displacement)
-        };
+        let at = self.at(place);
         let intensity = match &self.source {
-            Source::InFocus(field) => field.intensity(at(place)),
+            Source::InFocus(field) => field.intensity(at),
             Source::OutOfFocus { field, slip, focus } => {
-                field.intensity(at(place), *slip * focus.defocus(place, depth))
+                field.intensity(at, *slip * focus.defocus(place, depth))
             }
             &Source::Ring {
                 lookup,
                 slice: u,
                 per_pixel,
             } => {
-                let place = if per_pixel {
-                    place.floor() + 0.5
-                } else {
-                    place
+                let at = match per_pixel {
+                    true => self.at(place.floor() + 0.5),
+                    false => at,
                 };
-                let DVec2 { x: s, y: t } = at(place);
-                lookup.intensity(Coordinate { s, t, u })
+                lookup.intensity(Coordinate {
+                    s: at.x,
+                    t: at.y,
+                    u,
+                })
             }
         };
         intensity as f64
+    }
+
+    /// (s, t) of a place on the sensor.
+    #[inline(always)]
+    fn at(&self, place: DVec2) -> DVec2 {
+        let screen = self.camera.screen(place);
+        self.map.position(screen, self.displacement)
+    }
+
+    /// For reading within the pixel around `centre`, which sees a point `depth` mm
+    /// from the lens along its axis.
+    #[inline(always)]
+    pub fn pixel(&self, centre: DVec2, depth: f64) -> PixelReader<'_> {
+        let at = self.at(centre);
+        let steps = match self.steps {
+            Some(steps) => steps,
+            None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
+        };
+        PixelReader {
+            reader: self,
+            centre,
+            depth,
+            at,
+            steps,
+        }
+    }
+}
+
+/// Speckle within a pixel, over which the pattern is not bent.
+pub(super) struct PixelReader<'a> {
+    reader: &'a Reader<'a>,
+    centre: DVec2,
+    depth: f64,
+    at: DVec2,
+    /// Texels by column and by row.
+    steps: [DVec2; 2],
+}
+
+impl PixelReader<'_> {
+    /// Intensities, mean 1, so many columns and rows from the pixel's centre.
+    #[inline(always)]
+    pub fn four(&self, columns: &[f32; 4], rows: &[f32; 4]) -> [f32; 4] {
+        let lanes = [0, 1, 2, 3];
+        let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
+        match &self.reader.source {
+            Source::InFocus(field) => lanes.map(|i| {
+                let off = off(i);
+                field.intensity(self.at + self.steps[0] * off.x + self.steps[1] * off.y)
+            }),
+            _ => lanes.map(|i| self.reader.intensity(self.centre + off(i), self.depth) as f32),
+        }
     }
 }
 

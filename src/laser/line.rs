@@ -38,7 +38,8 @@ impl Fan {
     /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
     /// origin line (the laser frame's y axis) and y that from the sheet.
     pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Section> {
-        if p.z <= 0.0 {
+        // The irradiance goes as 1/ρ; a picometre off, a surface is at the aperture.
+        if p.z <= 1e-9 {
             return None;
         }
         let per_radian = match self.profile {

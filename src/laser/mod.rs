@@ -69,7 +69,7 @@ impl Laser {
     /// [`CUTOFF_RADII`] from the axis or sheet, or outside a uniform fan.
     pub fn at(&self, p: DVec3) -> Option<Illumination> {
         let section = self.section(p)?;
-        let r2 = self.off_middle_squared(p);
+        let r2 = self.off_middle(p).length_squared();
         let lit = r2 <= (CUTOFF_RADII * section.radius).powi(2);
         lit.then(|| Illumination {
             flux: section.flux * section.gaussian(r2),
@@ -86,12 +86,12 @@ impl Laser {
         }
     }
 
-    /// Square of the distance of `p` (laser frame) from the axis, or from the sheet
-    /// of a fan, mm².
-    pub fn off_middle_squared(&self, p: DVec3) -> f64 {
+    /// From the axis, or from the sheet of a fan, to `p` (laser frame), (x, y) in mm;
+    /// linear in `p`.
+    pub fn off_middle(&self, p: DVec3) -> DVec2 {
         match &self.fan {
-            None => p.x * p.x + p.y * p.y,
-            Some(_) => p.y * p.y,
+            None => DVec2::new(p.x, p.y),
+            Some(_) => DVec2::new(0.0, p.y),
         }
     }
 

@@ -31,6 +31,10 @@ pub struct MeshReport {
     /// After welding.
     pub vertices: usize,
     pub bounds_mm: Aabb,
+    /// Distance between the numbers that can stand for the largest coordinate, mm: of
+    /// f32 if all coordinates are such in some usual unit, else of f64. Detail finer
+    /// than that was lost before the file was written.
+    pub coordinate_step_mm: f64,
     /// Edges of exactly one triangle.
     pub boundary_edges: usize,
     /// Edges of more than two triangles.
@@ -46,6 +50,30 @@ pub struct MeshReport {
     pub orientation: Orientation,
     /// Volume enclosed (mm³), negative when inward; 0 for an open mesh.
     pub volume_mm3: f64,
+}
+
+/// Units (mm) in which the coordinates of a file may be numbers of f32.
+const UNITS_MM: [f64; 5] = [1.0, 1e-3, 10.0, 1000.0, 25.4];
+
+/// Share of the part's size above which the step of its coordinates is too coarse: a
+/// quarter of a micrometre on a part of 250 mm.
+const COARSE: f64 = 1e-6;
+
+fn coordinate_step(mesh: &Mesh) -> f64 {
+    let bounds = mesh.bounds();
+    let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
+    let unit = UNITS_MM.into_iter().find(|unit| {
+        let is_f32 = |c: f64| f64::from((c / unit) as f32) * unit == c;
+        let mut coordinates = mesh.positions.iter().flat_map(|p| p.to_array());
+        coordinates.all(is_f32)
+    });
+    match unit {
+        Some(unit) => {
+            let number = (largest / unit) as f32;
+            f64::from(number.next_up() - number) * unit
+        }
+        None => largest.next_up() - largest,
+    }
 }
 
 /// Examines a mesh. Takes 44 bytes a triangle while it runs.
@@ -69,6 +97,7 @@ pub fn report(mesh: &Mesh) -> MeshReport {
         triangles: mesh.triangles.len(),
         vertices: mesh.positions.len(),
         bounds_mm: mesh.bounds(),
+        coordinate_step_mm: coordinate_step(mesh),
         boundary_edges: edges.boundary,
         non_manifold_edges: edges.non_manifold,
         winding_conflicts: edges.conflicts,
@@ -174,6 +203,15 @@ impl fmt::Display for MeshReport {
             "lowest corner       ({}, {}, {}) mm",
             min.x, min.y, min.z
         )?;
+        let step = self.coordinate_step_mm;
+        write!(f, "coordinate step     {step:.1e} mm")?;
+        if step > COARSE * size.length() {
+            write!(
+                f,
+                ": TOO COARSE, detail is lost; move the part to its origin where the file is made"
+            )?;
+        }
+        writeln!(f)?;
         write!(f, "orientation         {orientation}")?;
         if self.volume_mm3 != 0.0 {
             write!(f, ", {:.6e} mm³", self.volume_mm3.abs())?;
@@ -245,6 +283,35 @@ mod tests {
             (collapsed.degenerate_triangles, collapsed.boundary_edges),
             (1, 0)
         );
+    }
+
+    /// Numbers of f32 at 5200 km are half a metre apart, at 8 mm 2⁻²⁰ mm; of a part in
+    /// inches a step is one in inches.
+    #[test]
+    fn a_part_too_far_from_its_origin_is_said_to_be() {
+        for (offset, unit, narrow, step, coarse) in [
+            (0.0, 1.0, true, 2f64.powi(-22), false),
+            (5.2e9, 1.0, true, 512.0, true),
+            (5.2e9, 1.0, false, 2f64.powi(-20), false),
+            (64.0, 25.4, true, 25.4 * 2f64.powi(-17), true),
+            (1e4, 1000.0, true, 1000.0 * 2f64.powi(-10), true),
+        ] {
+            let mut mesh = shapes::step_block(DVec3::new(4.0, 2.1, 3.0), 1.3).unwrap();
+            for p in &mut mesh.positions {
+                *p += offset;
+                if narrow {
+                    *p = p.as_vec3().as_dvec3();
+                }
+                *p *= unit;
+            }
+            let report = report(&mesh);
+            assert_eq!(report.coordinate_step_mm, step, "{offset} {unit}");
+            assert_eq!(
+                report.to_string().contains("TOO COARSE"),
+                coarse,
+                "{offset}"
+            );
+        }
     }
 
     #[test]

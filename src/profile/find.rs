@@ -4,6 +4,7 @@ use super::background::{Background, Histogram, background, detection_sigmas};
 use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
 use super::{Choice, Flags, Peak, PeakSettings};
+use wide::u16x8;
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
@@ -114,27 +115,34 @@ fn fit_windows(
     }
 }
 
-/// Rows that are turned together: of one column they are stored at once.
-const TILE_ROWS: usize = 8;
+/// Rows and columns that are turned together.
+const TILE: usize = 8;
 
 /// The image column by column.
 fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
     let rows = counts.len() / columns;
     let mut by_column = vec![0; counts.len()];
-    for first in (0..columns).step_by(STRIP) {
-        let width = STRIP.min(columns - first);
-        let strip = &mut by_column[first * rows..];
-        for (i, band) in counts.chunks(columns * TILE_ROWS).enumerate() {
-            let mut tile = [[0; TILE_ROWS]; STRIP];
+    let turn = |band: &[u16], first: usize, width: usize| {
+        let mut tile = [u16x8::ZERO; TILE];
+        for (lanes, row) in tile.iter_mut().zip(band.chunks_exact(columns)) {
+            lanes.as_mut_array()[..width].copy_from_slice(&row[first..first + width]);
+        }
+        u16x8::transpose(tile)
+    };
+    for strip in (0..columns).step_by(STRIP) {
+        let end = (strip + STRIP).min(columns);
+        for (i, band) in counts.chunks(columns * TILE).enumerate() {
             let height = band.len() / columns;
-            for (k, row) in band.chunks_exact(columns).enumerate() {
-                for (turned, &count) in tile.iter_mut().zip(&row[first..first + width]) {
-                    turned[k] = count;
+            for first in (strip..end).step_by(TILE) {
+                let width = TILE.min(end - first);
+                let turned = match width {
+                    TILE => turn(band, first, TILE),
+                    _ => turn(band, first, width),
+                };
+                for (column, lanes) in (first..first + width).zip(turned) {
+                    let to = &mut by_column[column * rows + i * TILE..][..height];
+                    to.copy_from_slice(&lanes.as_array()[..height]);
                 }
-            }
-            for (j, turned) in tile[..width].iter().enumerate() {
-                let to = &mut strip[j * rows + i * TILE_ROWS..][..height];
-                to.copy_from_slice(&turned[..height]);
             }
         }
     }
@@ -143,13 +151,16 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
 
 /// The highest line of a column, if it is one.
 fn detect(column: &[u16], z: f64, histogram: &mut Histogram) -> Option<Column> {
-    let &highest = column.iter().max()?;
     let background = background(column, z, histogram);
+    let highest = histogram.highest();
     let height = highest as f64 - background.mean;
     if height < background.threshold {
         return None;
     }
-    let top = column.iter().position(|&count| count == highest)?;
+    let strips = column.chunks(STRIP);
+    let dark = strips.take_while(|strip| strip.iter().copied().max() < Some(highest));
+    let first = dark.count() * STRIP;
+    let top = first + column[first..].iter().position(|&count| count == highest)?;
     let sigma = half_height_sigma(column, top, background.mean);
     Some(Column {
         background,
@@ -195,7 +206,7 @@ fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
     let mut last = 0;
     for (block, counts) in column.chunks(STRIP).enumerate() {
         // Most blocks are dark, and a maximum is vectorised.
-        if counts.iter().max().is_none_or(|&highest| highest < level) {
+        if counts.iter().copied().max() < Some(level) {
             continue;
         }
         for (row, &count) in (block * STRIP..).zip(counts) {

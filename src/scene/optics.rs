@@ -21,12 +21,14 @@ impl Resolver<'_> {
             waist_distance: table.waist_distance_mm,
             m_squared: table.m_squared,
         };
+        self.within(table.wavelength_nm, "laser.wavelength_nm", [1.0, 1e6])?;
         self.lengths([table.waist_distance_mm], "laser.waist_distance_mm")?;
         self.check(
             table.power_mw.is_finite() && table.power_mw >= 0.0,
             "laser.power_mw",
             "a finite number >= 0",
         )?;
+        self.within(table.power_mw, "laser.power_mw", [0.0, 1e12])?;
         self.check(
             table.m_squared.is_finite() && table.m_squared >= 1.0,
             "laser.m_squared",
@@ -141,6 +143,7 @@ impl Resolver<'_> {
             },
             distortion: None,
         };
+        self.within(lens.f_number, "camera.f_number", [0.1, 1e4])?;
         if let Aperture::Ellipse(ratio) = lens.aperture {
             // Narrower, a pattern holds too few phasors to be fully developed.
             self.check(
@@ -199,8 +202,9 @@ impl Resolver<'_> {
         )?;
         let not_negative = |value: f64, key: &str| {
             let holds = value.is_finite() && value >= 0.0;
-            self.check(holds, &format!("camera.{key}"), "a finite number >= 0")
-                .map(|()| value)
+            let key = format!("camera.{key}");
+            self.check(holds, &key, "a finite number >= 0")?;
+            self.within(value, &key, [0.0, 1e12])
         };
         let noise = match table.read_noise_e {
             Some(e) => Some(Noise {

@@ -122,7 +122,15 @@ impl Resolver<'_> {
 
     pub(super) fn positive(&self, value: f64, key: &str) -> Result<f64> {
         let holds = value.is_finite() && value > 0.0;
-        self.check(holds, key, "a finite number > 0")
+        self.check(holds, key, "a finite number > 0")?;
+        self.within(value, key, [1e-12, 1e12])
+    }
+
+    /// Far beyond what is sensible, but near enough that no product of a few such
+    /// numbers is infinite, or zero for rounding.
+    pub(super) fn within(&self, value: f64, key: &str, [low, high]: [f64; 2]) -> Result<f64> {
+        let expected = format!("a number from {low:e} to {high:e}");
+        self.check((low..=high).contains(&value), key, &expected)
             .map(|()| value)
     }
 

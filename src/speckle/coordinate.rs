@@ -53,12 +53,16 @@ impl GrainMap {
         self.alpha * mm
     }
 
+    /// Whether grains have one size all over the sensor: then the map is linear.
+    pub fn is_even(&self) -> bool {
+        self.relative_gradient == DVec2::ZERO
+    }
+
     /// (1 − exp(−cz))/c for z = x + iy and c = g_x − i·g_y, whose derivative
     /// has modulus exp(−g·x).
     fn flatten(&self, z: DVec2) -> DVec2 {
         let g = self.relative_gradient;
-        // An untilted sensor's map is linear, and most sensors are untilted.
-        if g == DVec2::ZERO {
+        if self.is_even() {
             return z;
         }
         let cz = DVec2::new(g.x * z.x + g.y * z.y, g.x * z.y - g.y * z.x);

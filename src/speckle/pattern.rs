@@ -270,7 +270,7 @@ impl PhasorPlane {
         let mut field = vec![Complex32::ZERO; size * size];
         let mut scratch = self.scratch();
         for (block, rows) in field.chunks_exact_mut(ROWS * size).enumerate() {
-            self.rows(&columns, block, rows, &mut scratch);
+            self.rows(&columns, block, rows_of(rows, size), &mut scratch);
         }
         Pattern {
             size,
@@ -324,23 +324,31 @@ impl PhasorPlane {
         &self,
         columns: &Columns,
         block: usize,
-        rows: &mut [Complex32],
+        mut rows: [&mut [Complex32]; ROWS],
         scratch: &mut [Complex32],
     ) {
         let size = self.spec.size;
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
             let column = dx.rem_euclid(size as i64) as usize;
             let values = &line[ROWS * block..][..ROWS];
-            for (row, value) in rows.chunks_exact_mut(size).zip(values) {
+            for (row, value) in rows.iter_mut().zip(values) {
                 row[column] = value * columns.scale;
             }
         }
-        self.fft.process_with_scratch(rows, scratch);
+        for row in rows {
+            self.fft.process_with_scratch(row, scratch);
+        }
     }
 
     pub(super) fn scratch(&self) -> Vec<Complex32> {
         vec![Complex32::ZERO; self.fft.get_inplace_scratch_len()]
     }
+}
+
+/// The rows, `stride` values apart, of a block of [`ROWS`].
+pub(super) fn rows_of<T>(block: &mut [T], stride: usize) -> [&mut [T]; ROWS] {
+    let mut rows = block.chunks_exact_mut(stride);
+    std::array::from_fn(|_| rows.next().expect("a block has as many rows"))
 }
 
 /// The texel of the plane taken as zero frequency.

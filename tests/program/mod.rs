@@ -104,3 +104,29 @@ start_mm = [0, -0.5, 0]
 "#
     )
 }
+
+/// Each number of the scene file, with the dotted key it belongs to.
+pub fn numbers(text: &str) -> Vec<(String, std::ops::Range<usize>)> {
+    let mut found = Vec::new();
+    let mut table = String::new();
+    let mut start = 0;
+    for line in text.split_inclusive('\n') {
+        if let Some(name) = line.trim_end().strip_prefix('[') {
+            table = format!("{}.", name.trim_end_matches(']'));
+        } else if let Some((name, value)) = line.split_once(" = ") {
+            let mut key = format!("{table}{name}");
+            let mut at = start + line.len() - value.len();
+            for piece in value.split_inclusive([' ', ',', '[', ']', '{', '}', '\n']) {
+                let word = piece.trim_end_matches([' ', ',', '[', ']', '{', '}', '\n']);
+                if word.parse::<f64>().is_ok() {
+                    found.push((key.clone(), at..at + word.len()));
+                } else if word.starts_with(char::is_alphabetic) && value.starts_with('{') {
+                    key = format!("{table}{name}.{word}");
+                }
+                at += piece.len();
+            }
+        }
+        start += line.len();
+    }
+    found
+}

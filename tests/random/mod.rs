@@ -1,5 +1,8 @@
 //! Random scenes.
 
+// Each test file uses what it needs of this.
+#![allow(dead_code)]
+
 use lasertrace::math::DVec3;
 use lasertrace::math::rng::{Key, Purpose};
 

@@ -75,11 +75,11 @@ fn gamma(fields: &FrameFields, places: [PupilPlace; 2]) -> f64 {
     let [from, to] = places.map(|at| carrier(at.shift * SPEC.pupil_width()));
     let turns = [0, 1].map(|axis| (to[axis] - from[axis]) as f64 * TAU / 1024.0);
     let mut sum = Complex64::ZERO;
-    for (i, (a, b)) in a.texels.chunks(2).zip(b.texels.chunks(2)).enumerate() {
+    for (i, (a, b)) in a.texels.iter().zip(&b.texels).enumerate() {
         let (row, column) = (i / 1025, i % 1025);
         if column < 1024 {
             let phase = turns[0] * column as f64 + turns[1] * row as f64;
-            let [a, b] = [a, b].map(|v| Complex64::new(v[0] as f64, v[1] as f64));
+            let [a, b] = [a, b].map(|v| Complex64::new(v.re as f64, v.im as f64));
             sum += a.conj() * b * Complex64::from_polar(1.0, phase);
         }
     }

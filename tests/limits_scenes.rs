@@ -1,0 +1,189 @@
+//! Scenes at the limits of what a sensor can measure, `scenes/limits`: each gives the
+//! number its README says, and no output of any holds a number that is none.
+
+mod program;
+
+use lasertrace::batch::Simulation;
+use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::profile::Flags;
+use lasertrace::scene::Scene;
+use program::run;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn path(scene: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenes")
+        .join(scene)
+}
+
+fn measured(scene: &str) -> Vec<CloudPoint> {
+    let scene = Scene::load(&path(scene).join("scene.toml")).unwrap();
+    let simulation = Simulation::new(&scene).unwrap();
+    let frame = |frame| {
+        let irradiance = simulation.irradiance(frame);
+        assert!(
+            irradiance
+                .dense()
+                .iter()
+                .all(|e| e.is_finite() && *e >= 0.0)
+        );
+        simulation
+            .measure(frame, &simulation.counts(frame, &irradiance))
+            .1
+    };
+    let points: Vec<CloudPoint> = (0..scene.scan.frames).flat_map(frame).collect();
+    for p in &points {
+        let numbers = [p.deviation, p.sigma, p.deviation_sigma, p.intensity];
+        assert!(
+            p.position.is_finite() && numbers.iter().all(|x| x.is_finite()),
+            "{p:?}"
+        );
+    }
+    points
+}
+
+/// Greatest |deviation| in µm, and how many points carry a flag.
+fn worst(points: &[CloudPoint], flag: Flags) -> (f64, usize) {
+    let deviations = points.iter().map(|p| p.deviation.abs() * 1e3);
+    let flagged = points.iter().filter(|p| p.flags.contains(flag)).count();
+    (deviations.fold(0.0, f64::max), flagged)
+}
+
+/// 10⁶ part sizes from the origin a step of 1 mm is one to within 1 µm.
+#[test]
+fn far() {
+    let points = measured("limits/far");
+    let heights = |side: f64| {
+        let on_side = points.iter().filter(|p| p.position.x * side > 0.2);
+        on_side.map(|p| p.position.z).collect::<Vec<f64>>()
+    };
+    let (low, high) = (heights(-1.0), heights(1.0));
+    assert!(
+        low.len() > 800 && high.len() > 800,
+        "{} {}",
+        low.len(),
+        high.len()
+    );
+    let off = low
+        .iter()
+        .map(|z| z - 9.0)
+        .chain(high.iter().map(|z| z - 10.0));
+    let off = off.fold(0.0, |worst: f64, z| worst.max(z.abs() * 1e3));
+    println!("far: {off:.3} µm");
+    assert!(off < 0.5, "{off} µm");
+}
+
+#[test]
+fn saturated() {
+    let points = measured("limits/saturated");
+    let (off, flagged) = worst(&points, Flags::SATURATED);
+    println!(
+        "saturated: {} points, {flagged} flagged, {off:.3} µm",
+        points.len()
+    );
+    assert_eq!((points.len(), flagged), (3 * 640, 3 * 640));
+    assert!(off < 1.0, "{off} µm");
+}
+
+#[test]
+fn border() {
+    let points = measured("limits/border");
+    let (off, flagged) = worst(&points, Flags::BORDER);
+    println!(
+        "border: {} points, {flagged} flagged, {off:.3} µm",
+        points.len()
+    );
+    assert!(!points.is_empty() && flagged == points.len());
+}
+
+#[test]
+fn without_light_or_sight_there_are_no_points() {
+    for scene in ["limits/dark", "limits/inside", "limits/behind"] {
+        assert_eq!(measured(scene), [], "{scene}");
+    }
+    let points = measured("limits/one-pixel");
+    println!("one pixel: {} points", points.len());
+    assert_eq!(points, []);
+}
+
+#[test]
+fn grazing() {
+    let points = measured("limits/grazing");
+    let (off, flagged) = worst(&points, Flags::OUTSIDE);
+    let clear = points.iter().filter(|p| p.flags.is_empty());
+    let silent = clear
+        .filter(|p| p.deviation.abs() > 3.0 * p.deviation_sigma)
+        .count();
+    println!(
+        "grazing: {} points, {flagged} outside, {silent} silent, {off:.3} µm",
+        points.len()
+    );
+}
+
+#[test]
+fn edge() {
+    let points = measured("limits/edge");
+    let (off, flagged) = worst(&points, Flags::EDGE);
+    println!(
+        "edge: {} points, {flagged} flagged, {off:.3} µm",
+        points.len()
+    );
+}
+
+/// Little-endian numbers of a PLY's vertices are finite.
+fn assert_finite_ply(bytes: &[u8]) {
+    let end = b"end_header\n";
+    let at = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+    for vertex in bytes[at..].chunks_exact(50) {
+        let doubles = vertex[..24].as_chunks::<8>().0;
+        assert!(doubles.iter().all(|b| f64::from_le_bytes(*b).is_finite()));
+        let floats = vertex[24..40].as_chunks::<4>().0;
+        assert!(floats.iter().all(|b| f32::from_le_bytes(*b).is_finite()));
+    }
+}
+
+/// Every scene there, by the program: no number of an output is NaN or infinite.
+#[test]
+fn no_output_holds_a_number_that_is_none() {
+    let mut scenes = 0;
+    for entry in fs::read_dir(path("limits")).unwrap() {
+        let scene = entry.unwrap().path();
+        if !scene.is_dir() {
+            continue;
+        }
+        scenes += 1;
+        let folder = tempfile::tempdir().unwrap();
+        let name = scene.join("scene.toml");
+        let name = name.to_str().unwrap();
+        for command in ["scan", "check"] {
+            let arguments = [command, name, "--quiet", "-o", "out", "--also", "csv"];
+            let some = if command == "scan" { 7 } else { 3 };
+            let (code, stdout, stderr) = run(folder.path(), &arguments[..some]);
+            assert_eq!(code, 0, "{name}: {stderr}");
+            assert!(!stdout.contains("NaN"), "{name}: {stdout}");
+        }
+        let out = folder.path().join("out");
+        assert_finite_ply(&fs::read(out.join("cloud.ply")).unwrap());
+        let texts = [
+            "summary.json",
+            "cloud.csv",
+            "profiles/profile-000000.csv",
+            "manifest.json",
+        ];
+        for text in texts {
+            let text = fs::read_to_string(out.join(text)).unwrap().to_lowercase();
+            let mut words = text.split(|c: char| !c.is_alphanumeric());
+            assert!(
+                !words.any(|w| ["nan", "inf", "infinity"].contains(&w)),
+                "{name}"
+            );
+        }
+        let report = fs::read_to_string(out.join("report.html")).unwrap();
+        assert!(
+            !report.contains(">NaN") && !report.contains(">inf"),
+            "{name}"
+        );
+    }
+    assert_eq!(scenes, 9);
+}
