@@ -61,7 +61,7 @@ impl Models {
     }
 
     /// Standard deviations of the rows of `peaks` from speckle, from noise, and from
-    /// that of dark pixels.
+    /// pixels that err by one count.
     fn deviations(&self, peaks: &[Peak]) -> Vec<[f64; 3]> {
         let of = |model: &ErrorModel, noise: f64| {
             let mut peaks = peaks.to_vec();
@@ -72,7 +72,7 @@ impl Models {
         let all = [
             of(&self.speckle, 0.0),
             of(&self.shot, self.dark),
-            of(&self.none, self.dark),
+            of(&self.none, 1.0),
         ];
         // What is left without any is the finder's own bias.
         let less = |with: f64, none: f64| (with * with - none * none).max(0.0).sqrt();
@@ -120,6 +120,8 @@ pub(super) fn pilot<'s>(
         lines: lines as f64 / frames.len().max(1) as f64,
         pixels: sensor.resolution.as_dvec2().element_product(),
         columns: sensor.resolution.x as f64,
+        dark: compared.models.dark,
+        step: sensor.noise.map_or(1.0, |_| sensor.gain_dn_per_e.max(1.0)),
         grain: scene
             .speckle
             .map(|s| Grain::new(s.aperture, grains, s.coherence.contrast(), plans)),
@@ -153,7 +155,7 @@ impl Compared<'_> {
         let deviations = self.models.deviations(&fine);
         let seen = fine.iter().zip(deviations);
         let seen = seen.filter(|(peak, _)| peak.flags.is_sound() && peak.height >= faintest);
-        let point = |(peak, [speckle, noise, dark]): (&Peak, [f64; 3])| {
+        let point = |(peak, [speckle, noise, per_count]): (&Peak, [f64; 3])| {
             let column = peak.column as usize;
             let place = DVec2::new(column as f64 + 0.5, peak.row);
             let jacobian = self.fine.calibration.point_jacobian(place)?;
@@ -162,9 +164,10 @@ impl Compared<'_> {
                 um_per_px: jacobian.by_pixel[1].length() * 1e3,
                 // A line within one pixel measures as of no width.
                 sigma: peak.sigma.max(0.1),
+                height: peak.height,
                 speckle,
                 noise,
-                dark,
+                per_count,
                 geometry: off(&geometry),
                 coarse: coarse.each_ref().map(|rows| off(rows)),
             })

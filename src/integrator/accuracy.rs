@@ -2,6 +2,7 @@
 //! points of a few frames, and what each way of modelling them costs.
 
 use super::Sampling;
+use super::height_error::{HeightError, quantile, share_beyond};
 use super::plan::{Plan, sampling_error};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
@@ -10,8 +11,6 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{PI, TAU};
 
-/// Share of points that may differ from the full model by more than the tolerance.
-pub const PROMISED_SHARE: f64 = 0.01;
 /// What of it a plan may predict: predictions are of first order and from few frames.
 const PLANNED_SHARE: f64 = 0.005;
 /// Where speckle alone scatters heights by more than the tolerance, all else is planned
@@ -50,11 +49,13 @@ pub struct PilotPoint {
     pub um_per_px: f64,
     /// Standard deviation of the line's image.
     pub sigma: f64,
+    /// Counts of its middle.
+    pub height: f64,
     /// Standard deviations of the row from speckle, from the sensor's noise, and from
-    /// that of dark pixels alone.
+    /// pixels that err by one count.
     pub speckle: f64,
     pub noise: f64,
-    pub dark: f64,
+    pub per_count: f64,
     /// By what it differs in geometry alone; `None` if that has no such point.
     pub geometry: Option<f64>,
     /// By what it differs with 1 and with 2 × 2 samples a pixel.
@@ -69,6 +70,10 @@ pub struct Pilot {
     pub lines: f64,
     pub pixels: f64,
     pub columns: f64,
+    /// Standard deviation of the counts of dark pixels.
+    pub dark: f64,
+    /// By what counts differ if they do: by one, or by an electron's where that is more.
+    pub step: f64,
     /// Of the scene's speckle.
     pub grain: Option<Grain>,
 }
@@ -94,71 +99,6 @@ impl Grain {
             missed: counts.into_iter().map(missed).collect(),
         }
     }
-}
-
-/// An error of height: a bias and a standard deviation, µm; infinite if the point is
-/// lost.
-#[derive(Debug, Clone, Copy)]
-pub struct HeightError {
-    pub bias: f64,
-    pub variance: f64,
-}
-
-impl HeightError {
-    pub fn random(deviation: f64) -> HeightError {
-        HeightError {
-            bias: 0.0,
-            variance: deviation * deviation,
-        }
-    }
-
-    pub fn bias(bias: Option<f64>) -> HeightError {
-        HeightError {
-            bias: bias.map_or(f64::INFINITY, f64::abs),
-            variance: 0.0,
-        }
-    }
-
-    /// Biases add up at worst; what is random is independent.
-    fn and(self, other: HeightError) -> HeightError {
-        HeightError {
-            bias: self.bias + other.bias,
-            variance: self.variance + other.variance,
-        }
-    }
-
-    /// Probability that it is beyond ± `limit`, if normal.
-    fn beyond(&self, limit: f64) -> f64 {
-        if self.variance == 0.0 || self.bias == f64::INFINITY {
-            return (self.bias > limit) as u8 as f64;
-        }
-        let spread = (2.0 * self.variance).sqrt();
-        let tail = |z: f64| 0.5 * libm::erfc(z / spread);
-        tail(limit - self.bias) + tail(limit + self.bias)
-    }
-}
-
-/// Expected share of these errors beyond ± `limit`.
-fn share_beyond(errors: &[HeightError], limit: f64) -> f64 {
-    errors.iter().map(|e| e.beyond(limit)).sum::<f64>() / errors.len().max(1) as f64
-}
-
-/// The limit that 99 of 100 keep; `None` if more are lost.
-pub fn quantile(errors: &[HeightError]) -> Option<f64> {
-    let largest = errors.iter().filter(|e| e.bias.is_finite());
-    let mut high = largest.fold(0.0f64, |most, e| most.max(e.bias + 6.0 * e.variance.sqrt()));
-    if share_beyond(errors, high) > PROMISED_SHARE {
-        return None;
-    }
-    let mut low = 0.0;
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        match share_beyond(errors, middle) > PROMISED_SHARE {
-            true => low = middle,
-            false => high = middle,
-        }
-    }
-    Some(high)
 }
 
 /// Samples a side that plans choose from.
@@ -212,23 +152,36 @@ impl Pilot {
         self.each(|p| HeightError::bias(p.geometry))
     }
 
+    /// Variance of the row where pixels' light differs by little, d counts each, and so
+    /// some are rounded to other counts: by d·(1 - d) a pixel (a step in d of 1 cases), at
+    /// most ¼. `moment`: Σ y²·|d|/(Σ light)².
+    fn rounding(&self, point: &PilotPoint, moment: f64) -> f64 {
+        (self.step * moment).min(0.25 * (self.step * point.per_count).powi(2))
+    }
+
     /// What n × n samples a pixel leave: of the line, its first alias and at edges what
     /// the pilot found, falling as the square of n; of speckle what they miss of the
-    /// pixel's mean.
+    /// pixel's mean; of both what rounding makes of it. They miss G''/(24·n²) of a line
+    /// G = A·exp(-y²/2σ²), and ∫y²·|G''| = 5.447·A·σ.
     pub fn samples(&self, plan: &Plan) -> Vec<HeightError> {
         let n = plan.samples_per_side;
         let missed = match (plan.speckle, &self.grain) {
             (Some(Method::Prefiltered { .. }) | None, _) | (_, None) => 0.0,
-            (Some(_), Some(grain)) => self.dark_columns() * grain.contrast * grain.missed[&n],
+            (Some(_), Some(grain)) => grain.contrast * grain.missed[&n],
         };
+        let more = self.dark_columns();
         self.each(|p| {
             let found = match n {
                 1 | 2 => p.coarse[n as usize - 1],
                 _ => Some(p.coarse[1].unwrap_or(0.0) * (2.0 / n as f64).powi(2)),
             };
             let alias = sampling_error(p.sigma, n);
+            let curved = 5.447 / (48.0 * PI * (n as f64).powi(2) * p.height * p.sigma);
+            let broken = missed * p.sigma / (PI * p.height);
+            let grains = Self::centroid(p.sigma, missed);
+            let random = grains.hypot(self.rounding(p, curved + broken).sqrt());
             HeightError::bias(found.map(|found| found.abs() + alias))
-                .and(HeightError::random(Self::centroid(p.sigma, missed)))
+                .and(HeightError::random(more * random))
         })
     }
 
@@ -253,7 +206,7 @@ impl Pilot {
             let dark = (1.0 - (z / 4.0).powi(3)).max(0.0) * 2.0;
             let speckle = plan.speckle.map_or(0.0, |_| p.speckle * p.speckle * lost);
             let noise = if plan.noise {
-                dark * p.dark * p.dark
+                dark * (self.dark * p.per_count).powi(2)
             } else {
                 0.0
             };
