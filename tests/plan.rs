@@ -37,6 +37,22 @@ fn methods_named_in_the_scene_are_used() {
     assert_eq!(named["sampling"], "rays");
     assert_eq!(named["noise"], false);
     assert_eq!(named["cutoff_radii"], 1.75);
+    let told = |effect: &str| {
+        let effects = named["effects"].as_array().unwrap();
+        let found = effects.iter().find(|e| e["effect"] == effect).unwrap();
+        assert_eq!(found["why"], "named in [plan]");
+        found["method"].as_str().unwrap().to_owned()
+    };
+    assert!(told("pixel integration").contains("5 × 5 rays a pixel"));
+    assert!(told("sensor noise").contains("rounded"));
+    let speckled = |tables: &str| {
+        let text = with(tables).replace("speckle = false", "speckle = true");
+        let folder = folder_with(&text);
+        json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take()
+    };
+    let before = speckled("")["speckle_slips"].as_bool().unwrap();
+    let otherwise = speckled(&format!("[plan]\nspeckle_slips = {}\n", !before));
+    assert_eq!(otherwise["speckle_slips"], !before);
     // They hold beside a tolerance too, that alone would do with less.
     let both = plan(
         "[accuracy]\nheight_um = 1000\n[plan]\nsamples_per_side = 5\nnoise = true\ngeometry_only = false\n",
@@ -110,6 +126,19 @@ fn a_chart_compares_all_ways_with_the_full_model() {
     let rows = chart["rows"].as_array().unwrap();
     assert!(rows.len() > 8, "{}", rows.len());
     assert_eq!(rows[0]["error"]["within_um"], 0.0);
+    // It looks at every pixel.
+    let side = rows[0]["plan"]["samples_per_side"].as_f64().unwrap();
+    assert_eq!(rows[0]["samples"], 64.0 * 48.0 * side * side);
+    let images = rows.iter().filter(|r| r["plan"]["geometry_only"] == false);
+    for row in images {
+        assert!(
+            row["ms_per_million_samples"].as_f64().unwrap() > 0.0,
+            "{row}"
+        );
+        assert!(
+            row["contrast"].as_f64().unwrap() < 0.5 && row["memory_mb"].as_f64().unwrap() > 0.0
+        );
+    }
     assert_eq!(rows.iter().filter(|row| row["chosen"] == true).count(), 1);
     let place = |row: &Value| Some((row["ms"][1].as_f64()?, row["error"]["within_um"].as_f64()?));
     for row in rows.iter().filter(|row| row["on_front"] == true) {

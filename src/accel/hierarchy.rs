@@ -38,7 +38,7 @@ pub enum Backend {
 
 impl Backend {
     /// Most memory a triangle takes while the hierarchy is built, bytes.
-    fn build_bytes(self) -> u64 {
+    pub fn build_bytes(self) -> u64 {
         match self {
             #[cfg(feature = "embree")]
             Backend::Embree => embree::BUILD,

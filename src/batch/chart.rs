@@ -1,7 +1,7 @@
 //! Accuracy against speed: every way of doing a frame, on the scene's own frames.
 
 use super::pilot::spread_frames;
-use super::tiers::{HeightErrors, Tier, Tiers, in_words};
+use super::tiers::{HeightErrors, Tier, TierFrame, Tiers, in_words};
 use super::{Control, files};
 use crate::error::{Error, Result};
 use crate::inspect::accuracy_chart::{AccuracyChart, Mark};
@@ -11,6 +11,7 @@ use crate::math::DVec2;
 use crate::profile::{Peak, PeakFinder};
 use crate::scene::Scene;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -55,6 +56,13 @@ pub struct ChartRow {
     pub frames_per_s: f64,
     /// Times as fast as the full model.
     pub speed_up: f64,
+    /// Samples of pixels in a frame: each a ray, but on planes. `None` without images.
+    pub samples: Option<f64>,
+    /// Of all that a frame takes, ms.
+    pub ms_per_million_samples: Option<f64>,
+    /// Hierarchy while it is built (on top of the mesh), patterns of speckle, and a frame's
+    /// light and counts, MB: by arithmetic.
+    pub memory_mb: f64,
     /// Against the full model.
     pub error: HeightErrors,
     /// Against geometry in f64: what it measures, rather than how well it simulates;
@@ -62,6 +70,9 @@ pub struct ChartRow {
     pub scatter: Option<HeightErrors>,
     /// Median standard deviation of the lines, px.
     pub line_sigma_px: Option<f64>,
+    /// Contrast of the columns' light along the lines; `None` where too few are side by
+    /// side, and without images.
+    pub contrast: Option<f64>,
     /// Speckle with other grains: `error` is then the difference of two draws.
     pub other_grains: bool,
     /// None is both faster and more accurate.
@@ -118,6 +129,8 @@ pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) 
 struct Run {
     ms: Vec<f64>,
     peaks: Vec<Vec<Peak>>,
+    /// Pixels looked at in all frames.
+    pixels: usize,
 }
 
 /// Tiers take turns, so that what else the machine does meets them alike.
@@ -130,10 +143,11 @@ fn runs(tiers: &[Tier], frames: &[u32], rounds: u32, control: &Control) -> Resul
                 control.check()?;
                 if tier.coverage == super::Coverage::Footprint || round < SLOW_ROUNDS {
                     let start = Instant::now();
-                    let peaks = tier.peaks(frame);
+                    let TierFrame { peaks, pixels } = tier.frame(frame);
                     run.ms.push(start.elapsed().as_secs_f64() * 1e3);
                     if round == 0 {
                         run.peaks.push(peaks);
+                        run.pixels += pixels;
                     }
                 }
             }
@@ -148,6 +162,27 @@ fn quartiles(values: &[f64]) -> [f64; 3] {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     [0.25, 0.5, 0.75].map(|share| sorted[((sorted.len() - 1) as f64 * share).round() as usize])
+}
+
+/// How far apart columns are compared: more than a grain, and little surface.
+const APART: u32 = 8;
+
+/// Contrast of the light of columns along lines: root of half the mean square difference
+/// of sound ones [`APART`], over their mean.
+fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
+    let (mut square, mut sum, mut pairs) = (0.0, 0.0, 0.0);
+    for peaks in frames {
+        let sound = peaks.iter().filter(|p| p.flags.is_sound());
+        let light: BTreeMap<u32, f64> = sound.map(|p| (p.column, p.intensity)).collect();
+        for (column, a) in &light {
+            if let Some(b) = light.get(&(column + APART)) {
+                square += 0.5 * (a - b).powi(2);
+                sum += 0.5 * (a + b);
+                pairs += 1.0;
+            }
+        }
+    }
+    (pairs >= 10.0 && sum > 0.0).then(|| f64::sqrt(square / pairs) / (sum / pairs))
 }
 
 fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
@@ -172,6 +207,9 @@ fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
         let ms = quartiles(&run.ms);
         let sigmas: Vec<f64> = run.peaks.iter().flatten().map(|p| p.sigma).collect();
         let plan = tier.simulation.plan.clone();
+        let pixels = run.pixels as f64 / run.peaks.len() as f64;
+        let samples = pixels * (plan.samples_per_side as f64).powi(2);
+        let samples = (!plan.geometry_only).then_some(samples);
         ChartRow {
             name: tier.name.clone(),
             finder: tier.finder,
@@ -181,9 +219,13 @@ fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
             predicted_ms: plan.accuracy.as_ref().map(|a| a.cost_ms),
             frames_per_s: 1e3 / ms[1],
             speed_up: slowest / ms[1],
+            samples,
+            ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms[1] / n * 1e6),
+            memory_mb: tier.memory(pixels as usize) as f64 / 1e6,
             error: against(run, &runs[0]),
             scatter: geometry.map(|truth| against(run, truth)),
             line_sigma_px: (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1]),
+            contrast: contrast(&run.peaks).filter(|_| !plan.geometry_only),
             other_grains: tier.other_grains,
             on_front: false,
             chosen: i == tiers.chosen,
@@ -235,6 +277,9 @@ impl Chart {
             lost: row.error.lost,
             scatter_um: row.scatter.as_ref().map(|s| s.noise_um),
             sigma_px: row.line_sigma_px,
+            contrast: row.contrast,
+            ms_per_million: row.ms_per_million_samples,
+            memory_mb: row.memory_mb,
             on_front: row.on_front,
             chosen: row.chosen,
             hollow: row.other_grains,

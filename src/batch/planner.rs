@@ -3,6 +3,7 @@
 
 use super::pilot::pilot;
 use super::simulation::{hierarchy, plan};
+use super::tiers::in_words;
 use crate::accel::Accel;
 use crate::error::Result;
 use crate::integrator::accuracy::{Pilot, candidates};
@@ -10,14 +11,16 @@ use crate::integrator::height_error::{HeightError, quantile};
 use crate::integrator::plan::Effect;
 use crate::integrator::{Plan, Sampling};
 use crate::laser::CUTOFF_RADII;
-use crate::scene::Scene;
+use crate::scene::{PlanTable, Scene};
 use crate::speckle::lookup::Method;
 use std::sync::Arc;
+
+const NAMED: &str = "named in [plan]";
 
 /// The plan of a scene as a run will follow it; with a tolerance builds the hierarchy.
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
     match scene.tolerance_um {
-        None => Ok(named(scene, plan(scene))),
+        None => Ok(told(&scene.methods, named(scene, plan(scene)))),
         Some(_) => scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
     }
 }
@@ -53,6 +56,7 @@ fn named(scene: &Scene, mut plan: Plan) -> Plan {
     if let Some(wanted) = methods.noise {
         plan.noise = wanted && scene.camera.sensor.noise.is_some();
     }
+    plan.speckle_slips = methods.speckle_slips.unwrap_or(plan.speckle_slips);
     plan.samples_per_side = methods.samples_per_side.unwrap_or(plan.samples_per_side);
     plan.sampling = methods.sampling.unwrap_or(plan.sampling);
     plan.cutoff_radii = methods.cutoff_radii.unwrap_or(plan.cutoff_radii);
@@ -62,11 +66,72 @@ fn named(scene: &Scene, mut plan: Plan) -> Plan {
     }
 }
 
+/// Effects of a plan without a tolerance, as the scene's names changed them.
+fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
+    let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
+    let mut tell = |effect, modelled, method: &str| {
+        list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
+    };
+    if plan.geometry_only {
+        tell("width of the line", false, NO_WIDTH);
+        tell("speckle", false, "none");
+    } else {
+        if methods.speckle.is_some() {
+            tell("speckle", plan.speckle.is_some(), speckle_method(&plan));
+        }
+        if methods.noise.is_some() {
+            tell("sensor noise", plan.noise, noise_method(&plan));
+        }
+        let PlanTable {
+            samples_per_side,
+            sampling,
+            cutoff_radii,
+            ..
+        } = methods;
+        if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
+            tell("pixel integration", true, &in_words(&plan));
+        }
+    }
+    plan.effects
+        .retain(|e| list.iter().all(|l| l.effect != e.effect));
+    plan.effects.splice(0..0, list);
+    plan
+}
+
+fn slip_named(methods: &PlanTable) -> Option<Effect> {
+    let slips = methods.speckle_slips?;
+    let method = if slips {
+        "slips"
+    } else {
+        "moves with the surface"
+    };
+    Some(Effect::new(SLIP, slips, method.into(), NAMED.into()))
+}
+
+const SLIP: &str = "speckle out of focus";
+const NO_WIDTH: &str = "laser rays without width";
+
+fn speckle_method(plan: &Plan) -> &'static str {
+    match plan.speckle {
+        Some(Method::Field) => "complex field of each frame",
+        Some(Method::Trilinear) => "ring of intensities",
+        Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
+        None => "light taken as incoherent",
+    }
+}
+
+fn noise_method(plan: &Plan) -> &'static str {
+    match plan.noise {
+        true => "drawn for each pixel",
+        false => "counts are the rounded expectation",
+    }
+}
+
 /// The same over a hierarchy that is there.
 pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
     let base = plan(scene);
     let Some(tolerance) = scene.tolerance_um else {
-        return Ok(named(scene, base));
+        return Ok(told(&scene.methods, named(scene, base)));
     };
     let geometry = scene.laser.fan.is_some() && !scene.write_frames;
     let plans = candidates(
@@ -97,7 +162,7 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         ..plan.clone()
     };
     let (method, why) = match plan.geometry_only {
-        true => ("laser rays without width", "no image is taken"),
+        true => (NO_WIDTH, "no image is taken"),
         false => ("image", "bends, edges and shadows shape the line"),
     };
     let width = list.add(
@@ -143,6 +208,7 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         let blur = match effect.effect {
             "defocus" => plan.defocus_blur_px / 4.0,
             "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+            SLIP => return slip_named(methods).unwrap_or(effect),
             _ => return effect,
         };
         Effect {
@@ -155,7 +221,7 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
 
 fn because(named: bool, why: &str) -> String {
     match named {
-        true => "named in [plan]".into(),
+        true => NAMED.into(),
         false => why.into(),
     }
 }
@@ -181,12 +247,7 @@ impl List {
         let methods = &scene.methods;
         let [speckle_ms, noise_ms] = pilot.cost_of_randomness_ms(plan);
         if scene.speckle.is_some() {
-            let method = match plan.speckle {
-                Some(Method::Field) => "complex field of each frame",
-                Some(Method::Trilinear) => "ring of intensities",
-                Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
-                None => "light taken as incoherent",
-            };
+            let method = speckle_method(plan);
             let modelled = plan.speckle.is_some();
             let speckle = self.add("speckle", modelled, method, pilot.speckle());
             let why = format!("grain {:.2} px", plan.speckle_size_px);
@@ -194,10 +255,7 @@ impl List {
             speckle.cost_ms = Some(speckle_ms);
         }
         if scene.camera.sensor.noise.is_some() {
-            let method = match plan.noise {
-                true => "drawn for each pixel",
-                false => "counts are the rounded expectation",
-            };
+            let method = noise_method(plan);
             let noise = self.add("sensor noise", plan.noise, method, pilot.noise());
             noise.why = because(methods.noise.is_some(), "shot noise and read noise");
             noise.cost_ms = Some(noise_ms);

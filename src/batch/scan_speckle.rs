@@ -13,6 +13,7 @@ use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::{Source, SurfaceView, overlap_correlation_defocused};
 use crate::speckle::path::PathAnchor;
 use crate::speckle::pattern::{Aperture, PatternSpec};
+use rustfft::num_complex::Complex32;
 
 pub struct ScanSpeckle {
     source: PatternSource,
@@ -94,6 +95,17 @@ impl ScanSpeckle {
             ),
             anchor,
         })
+    }
+
+    /// Bytes of the patterns that reading takes.
+    pub fn memory(&self) -> usize {
+        match &self.source {
+            PatternSource::Ring { lookup, .. } => lookup.memory(),
+            PatternSource::Frame { fields, slip } => {
+                let strips = if slip.is_some() { 2 } else { 1 };
+                strips * fields.spec().size.pow(2) * size_of::<Complex32>()
+            }
+        }
     }
 
     pub fn at(&self, place: f64, part_from_head: &Rigid) -> Speckle<'_> {

@@ -126,6 +126,11 @@ impl<'s> Simulation<'s> {
         })
     }
 
+    /// Bytes of the patterns of speckle.
+    pub(super) fn speckle_memory(&self) -> usize {
+        self.speckle.as_ref().map_or(0, ScanSpeckle::memory)
+    }
+
     pub fn view(&self, frame: u32) -> View<'_> {
         self.view_at(frame as f64)
     }

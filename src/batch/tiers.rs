@@ -27,21 +27,44 @@ pub struct Tier<'s> {
     pub other_grains: bool,
 }
 
+/// What a tier makes of a frame.
+pub struct TierFrame {
+    pub peaks: Vec<Peak>,
+    /// Pixels looked at; none without an image.
+    pub pixels: usize,
+}
+
 impl Tier<'_> {
-    /// The lines of a frame.
-    pub fn peaks(&self, frame: u32) -> Vec<Peak> {
+    pub fn frame(&self, frame: u32) -> TierFrame {
         if self.simulation.plan.geometry_only {
-            return self.simulation.geometric_peaks(frame).0;
+            return TierFrame {
+                peaks: self.simulation.geometric_peaks(frame).0,
+                pixels: 0,
+            };
         }
-        let counts = self
-            .simulation
-            .counts(frame, &self.simulation.irradiance(frame));
+        let irradiance = self.simulation.irradiance(frame);
+        let counts = self.simulation.counts(frame, &irradiance);
         let columns = self.simulation.scene.camera.sensor.resolution.x as usize;
         let settings = PeakSettings {
             finder: self.finder,
             ..self.simulation.peak_settings()
         };
-        find_peaks(&counts, columns, &settings)
+        TierFrame {
+            peaks: find_peaks(&counts, columns, &settings),
+            pixels: irradiance.looked_at(),
+        }
+    }
+
+    /// Bytes of its hierarchy while that is built, its patterns, and a frame of so many
+    /// pixels looked at.
+    pub fn memory(&self, pixels: usize) -> usize {
+        let scene = self.simulation.scene;
+        let hierarchy = scene.mesh.triangles.len() * self.accel.build_bytes() as usize;
+        let image = match self.simulation.plan.geometry_only {
+            true => 0,
+            false => scene.camera.sensor.resolution.element_product() as usize * size_of::<u16>(),
+        };
+        hierarchy + self.simulation.speckle_memory() + image + pixels * size_of::<f32>()
     }
 }
 
@@ -67,10 +90,11 @@ impl<'s> Tiers<'s> {
     }
 
     fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier<'s>> {
-        let other_grains = matches!(
-            plan.speckle,
-            Some(Method::Trilinear | Method::Prefiltered { .. })
-        );
+        let full = self.list.first().map(|tier| &tier.simulation.plan);
+        let other_grains = plan.speckle.is_some()
+            && full.is_some_and(|full| {
+                (full.speckle, full.speckle_slips) != (plan.speckle, plan.speckle_slips)
+            });
         let simulation = Simulation::with_plan(self.scene, self.accel.clone(), plan)?;
         let simulation = match coverage {
             Coverage::Footprint => simulation.with_clusters(self.clusters.clone()),
@@ -178,6 +202,12 @@ impl<'s> Tiers<'s> {
                 .filter(|m| m.is_some() && *m != base.speckle);
             plans.extend(others.map(|method| with(method, base.noise)));
         }
+        if base.speckle == Some(Method::Field) && !self.scene.scan.turns() {
+            plans.push(Plan {
+                speckle_slips: !base.speckle_slips,
+                ..base.clone()
+            });
+        }
         if base.noise {
             plans.push(with(base.speckle, false));
         }
@@ -241,6 +271,7 @@ fn words(plan: &Plan) -> Vec<String> {
     };
     let speckle = match plan.speckle {
         None => "no speckle",
+        Some(Method::Field) if plan.speckle_slips => "speckle by field that slips out of focus",
         Some(Method::Field) => "speckle by field",
         Some(Method::Trilinear) => "speckle trilinear",
         Some(Method::Prefiltered { .. }) => "speckle prefiltered",
@@ -349,7 +380,8 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     tiers.add("plan", plan.clone(), Coverage::Footprint)?;
     let [full, planned] = [0, 1].map(|i| {
         let start = Instant::now();
-        let peaks: Vec<Vec<Peak>> = frames.iter().map(|&f| tiers.list[i].peaks(f)).collect();
+        let peaks = frames.iter().map(|&f| tiers.list[i].frame(f).peaks);
+        let peaks: Vec<Vec<Peak>> = peaks.collect();
         (peaks, start.elapsed().as_secs_f64() * 1e3)
     });
     let pairs: Vec<_> = planned.0.into_iter().zip(full.0).collect();

@@ -17,6 +17,10 @@ pub struct Mark {
     pub lost: f64,
     pub scatter_um: Option<f64>,
     pub sigma_px: Option<f64>,
+    pub contrast: Option<f64>,
+    /// Time per million samples.
+    pub ms_per_million: Option<f64>,
+    pub memory_mb: f64,
     pub on_front: bool,
     pub chosen: bool,
     /// Its error is not a method's but a draw's.
@@ -34,11 +38,26 @@ pub struct AccuracyChart {
 
 const LEFT: f64 = 86.0;
 const TOP: f64 = 142.0;
-const WIDTH: f64 = 860.0;
+const WIDTH: f64 = 930.0;
 const HEIGHT: f64 = 380.0;
 /// Of the strip below the axis for those without error.
 const STRIP: f64 = 26.0;
 const ROW: f64 = 21.0;
+
+/// Heads of the table's columns, in two lines, and where they end.
+const COLUMNS: [([&str; 2], f64); 11] = [
+    (["ms a", "frame"], 460.0),
+    (["times", "as fast"], 514.0),
+    (["ms per", "million"], 570.0),
+    (["", "MB"], 620.0),
+    (["99 of", "100, µm"], 684.0),
+    (["bias,", "µm"], 742.0),
+    (["noise,", "µm"], 796.0),
+    (["lost,", "%"], 844.0),
+    (["scatter,", "µm"], 904.0),
+    (["width σ,", "px"], 966.0),
+    (["contrast", ""], 1032.0),
+];
 
 const BLUE: &str = "#2166ac";
 const ORANGE: &str = "#d95f02";
@@ -90,8 +109,8 @@ impl Axis {
 
 impl AccuracyChart {
     pub fn svg(&self) -> String {
-        let table_top = TOP + HEIGHT + STRIP + 78.0;
-        let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 56.0;
+        let table_top = TOP + HEIGHT + STRIP + 92.0;
+        let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 72.0;
         let width = LEFT + WIDTH + 30.0;
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height:.0}\" \
@@ -256,16 +275,6 @@ impl AccuracyChart {
     }
 
     fn table(&self, svg: &mut String, top: f64) {
-        const COLUMNS: [(&str, f64); 8] = [
-            ("ms a frame", 460.0),
-            ("times as fast", 558.0),
-            ("99 of 100, µm", 660.0),
-            ("bias, µm", 732.0),
-            ("noise, µm", 800.0),
-            ("lost, %", 850.0),
-            ("scatter, µm", 926.0),
-            ("σ, px", 968.0),
-        ];
         let cell = |svg: &mut String, x: f64, y: f64, anchor: &str, style: &str, text: &str| {
             let text = escape(text);
             let _ = write!(
@@ -274,8 +283,11 @@ impl AccuracyChart {
             );
         };
         let bold = "font-weight=\"bold\" font-size=\"12\"";
-        for (title, x) in COLUMNS {
-            cell(svg, x, top, "end", bold, title);
+        for (titles, x) in COLUMNS {
+            for (line, title) in titles.into_iter().enumerate() {
+                let y = top - 15.0 * (1.0 - line as f64);
+                cell(svg, x, y, "end", bold, title);
+            }
         }
         for (i, mark) in self.marks.iter().enumerate() {
             let y = top + ROW * (i as f64 + 1.0);
@@ -297,12 +309,15 @@ impl AccuracyChart {
             let cells = [
                 short(mark.ms[1]),
                 short(mark.speed_up),
+                lost(mark.ms_per_million, "–"),
+                short(mark.memory_mb),
                 lost(mark.within_um, "lost"),
                 short(mark.bias_um),
                 short(mark.noise_um),
                 short(100.0 * mark.lost),
                 lost(mark.scatter_um, "–"),
                 lost(mark.sigma_px, "–"),
+                lost(mark.contrast, "–"),
             ];
             for ((_, x), text) in COLUMNS.iter().zip(cells) {
                 cell(svg, *x, y, "end", &style, &text);
@@ -313,7 +328,9 @@ impl AccuracyChart {
             "Orange: chosen. Blue: none is both faster and more accurate. Hollow: speckle with \
              other grains; its error is how far two draws differ, its scatter how well it does.",
             "99 of 100, bias, noise, lost: heights against 1, point by point. Scatter: against \
-             geometry, what the sensor itself would show. σ: width of the line.",
+             geometry, what the sensor itself would show.",
+            "ms per million: samples, each a ray but on planes. MB: hierarchy, speckle, one \
+             frame. Contrast: of columns' light along the line.",
         ];
         for (i, note) in notes.into_iter().enumerate() {
             let style = "fill=\"#666\" font-size=\"11.5\"";

@@ -22,13 +22,16 @@ pub struct AccuracyTable {
 }
 
 /// Methods to use whatever the plan would choose. Default: the plan chooses.
-#[derive(Debug, Clone, Default, Deserialize, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlanTable {
     /// Profiles from laser rays and what the camera sees of them, without images.
     pub geometry_only: Option<bool>,
     /// Whether speckle is modelled if the scene has it.
     pub speckle: Option<bool>,
+    /// Whether the pattern slips on surfaces out of focus; takes speckle by field and a
+    /// path that does not turn.
+    pub speckle_slips: Option<bool>,
     /// Whether the sensor's noise is modelled if the scene has it.
     pub noise: Option<bool>,
     /// Samples along each side of a pixel, 1 to 16.
@@ -49,11 +52,13 @@ impl Resolver<'_> {
         Ok(tolerance)
     }
 
-    /// `images`: the scene asks for files of frames; `line`: its laser has a fan.
+    /// `images`: the scene asks for files of frames; `line`: its laser has a fan;
+    /// `slips`: patterns may slip.
     pub(super) fn methods(
         &self,
         table: &PlanTable,
         (images, line): (bool, bool),
+        slips: bool,
     ) -> Result<PlanTable> {
         let samples = table.samples_per_side.unwrap_or(1);
         self.check(
@@ -66,6 +71,11 @@ impl Resolver<'_> {
             (1.0..=CUTOFF_RADII).contains(&radii),
             "plan.cutoff_radii",
             "a number from 1 to 4",
+        )?;
+        self.check(
+            slips || table.speckle_slips != Some(true),
+            "plan.speckle_slips",
+            "false: it takes speckle by field and a path that does not turn",
         )?;
         if table.geometry_only == Some(true) {
             self.check(

@@ -172,7 +172,12 @@ impl Resolver<'_> {
         let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
         let speckle = self.speckle(&file, &laser, &camera)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
-        let methods = self.methods(&file.plan, (file.write_frames, laser.fan.is_some()))?;
+        let by_field = speckle.is_some_and(|s| s.method == Method::Field);
+        let methods = self.methods(
+            &file.plan,
+            (file.write_frames, laser.fan.is_some()),
+            by_field && !scan.turns(),
+        )?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
