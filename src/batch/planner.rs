@@ -25,13 +25,14 @@ pub fn scene_plan(scene: &Scene) -> Result<Plan> {
     }
 }
 
-/// What others are measured against: every sample traced, at least twice as many as
-/// asked for, to the end of the beam.
-pub(super) fn full(base: &Plan) -> Plan {
+/// What others are measured against: every sample traced, at least twice as many as the
+/// scene's rules or its plan ask for, to the end of the beam.
+pub(super) fn full(base: &Plan, plan: &Plan) -> Plan {
+    let most = base.samples_per_side.max(plan.samples_per_side);
     Plan {
         geometry_only: false,
         sampling: Sampling::Rays,
-        samples_per_side: (2 * base.samples_per_side).max(8),
+        samples_per_side: (2 * most).max(8),
         cutoff_radii: CUTOFF_RADII,
         ..base.clone()
     }

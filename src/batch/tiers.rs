@@ -116,7 +116,8 @@ impl<'s> Tiers<'s> {
         let mut tiers = Tiers::none(scene, accel);
         let base = super::plan(scene);
         let n = base.samples_per_side;
-        let most = full(&base);
+        let plan = scene_plan_with(scene, &tiers.accel)?;
+        let most = full(&base, &plan);
         let side = most.samples_per_side;
         let name = format!("full model: every pixel, {side} × {side} rays in each");
         tiers.add(&name, most, Coverage::Exhaustive)?;
@@ -128,7 +129,7 @@ impl<'s> Tiers<'s> {
         tiers.add(&name, rays.clone(), Coverage::Exhaustive)?;
         let name = format!("pixels at the line only, {n} × {n} rays in each");
         tiers.add(&name, rays, Coverage::Footprint)?;
-        tiers.images(&base)?;
+        tiers.images(&base, plan)?;
         tiers.randomness(&base)?;
         tiers.finders(&base)?;
         tiers.backend(&base)?;
@@ -143,9 +144,8 @@ impl<'s> Tiers<'s> {
     }
 
     /// Samples and where light ends; the plan of the scene among them.
-    fn images(&mut self, base: &Plan) -> Result<()> {
+    fn images(&mut self, base: &Plan, plan: Plan) -> Result<()> {
         let n = base.samples_per_side;
-        let plan = scene_plan_with(self.scene, &self.accel)?;
         let name = match self.scene.tolerance_um {
             Some(tolerance) => format!("plan for {tolerance} µm"),
             None => "plan: flat pieces 1 ray a pixel".to_owned(),
@@ -374,8 +374,8 @@ pub struct Kept {
 /// Holds the plan of a scene with a tolerance against the full model, in `frames`.
 pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     let mut tiers = Tiers::none(scene, hierarchy(scene, &|_| Ok(()))?);
-    let most = full(&super::plan(scene));
     let plan = scene_plan_with(scene, &tiers.accel)?;
+    let most = full(&super::plan(scene), &plan);
     tiers.add("full model", most, Coverage::Exhaustive)?;
     tiers.add("plan", plan.clone(), Coverage::Footprint)?;
     let [full, planned] = [0, 1].map(|i| {

@@ -119,13 +119,7 @@ impl Pilot {
 
     /// Error of each point for one effect of a plan.
     fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
-        let in_um = |point: &PilotPoint| {
-            let HeightError { bias, variance } = error(point);
-            HeightError {
-                bias: bias * point.um_per_px,
-                variance: variance * point.um_per_px.powi(2),
-            }
-        };
+        let in_um = |point: &PilotPoint| error(point).times(point.um_per_px);
         self.points.iter().map(in_um).collect()
     }
 
@@ -161,8 +155,9 @@ impl Pilot {
 
     /// What n × n samples a pixel leave: of the line, its first alias and at edges what
     /// the pilot found, falling as the square of n; of speckle what they miss of the
-    /// pixel's mean; of both what rounding makes of it. They miss G''/(24·n²) of a line
-    /// G = A·exp(-y²/2σ²), and ∫y²·|G''| = 5.447·A·σ.
+    /// pixel's mean; of both what rounding makes of it, which if it is little happens in few
+    /// columns. They miss G''/(24·n²) of a line G = A·exp(-y²/2σ²), and
+    /// ∫y²·|G''| = 5.447·A·σ, ∫|G''| = 2.426·A/σ.
     pub fn samples(&self, plan: &Plan) -> Vec<HeightError> {
         let n = plan.samples_per_side;
         let missed = match (plan.speckle, &self.grain) {
@@ -176,12 +171,16 @@ impl Pilot {
                 _ => Some(p.coarse[1].unwrap_or(0.0) * (2.0 / n as f64).powi(2)),
             };
             let alias = sampling_error(p.sigma, n);
-            let curved = 5.447 / (48.0 * PI * (n as f64).powi(2) * p.height * p.sigma);
+            let n = n as f64;
+            let rounded =
+                (2.0 * missed * p.sigma + 0.101 / (n * n * p.sigma)) * p.height / self.step;
+            let curved = 5.447 / (48.0 * PI * n * n * p.height * p.sigma);
             let broken = missed * p.sigma / (PI * p.height);
             let grains = Self::centroid(p.sigma, missed);
-            let random = grains.hypot(self.rounding(p, curved + broken).sqrt());
+            let variance = self.rounding(p, curved + broken);
             HeightError::bias(found.map(|found| found.abs() + alias))
-                .and(HeightError::random(more * random))
+                .and(HeightError::random(more * grains))
+                .and(HeightError::rare(more * more * variance, rounded))
         })
     }
 
@@ -247,23 +246,19 @@ impl Pilot {
     pub fn choose(&self, candidates: Vec<Plan>, tolerance_um: f64) -> (Plan, Accuracy) {
         let scatter = quantile(&self.speckle()).filter(|&limit| limit > tolerance_um);
         let planned_um = scatter.map_or(tolerance_um, |s| tolerance_um.max(SHARE_OF_LIMIT * s));
-        let mut best: Option<((bool, f64, f64), Plan)> = None;
-        for plan in candidates {
-            let share = share_beyond(&self.errors(&plan), planned_um);
-            let enough = share <= PLANNED_SHARE;
-            let cost = self.cost_ms(&plan);
-            let rank = match enough {
-                true => (false, cost, share),
-                false => {
-                    let within = quantile(&self.errors(&plan)).unwrap_or(f64::INFINITY);
-                    (true, within, cost)
-                }
-            };
-            if best.as_ref().is_none_or(|(other, _)| rank < *other) {
-                best = Some((rank, plan));
-            }
-        }
-        let ((insufficient, ..), plan) = best.expect("there are candidates");
+        let share = |plan: &Plan| share_beyond(&self.errors(plan), planned_um);
+        let cost = |plan: &Plan| self.cost_ms(plan);
+        let by_cost = |a: &&Plan, b: &&Plan| cost(a).total_cmp(&cost(b));
+        let enough = candidates.iter().filter(|p| share(p) <= PLANNED_SHARE);
+        let cheapest = enough.min_by(by_cost);
+        let insufficient = cheapest.is_none();
+        let within = |plan: &Plan| quantile(&self.errors(plan)).unwrap_or(f64::INFINITY);
+        let finest = || {
+            let ranked = candidates.iter().map(|p| (within(p), cost(p), p));
+            let finest = ranked.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+            finest.expect("there are candidates").2
+        };
+        let plan = cheapest.unwrap_or_else(finest).clone();
         let errors = self.errors(&plan);
         let mut accuracy = Accuracy {
             tolerance_um,
