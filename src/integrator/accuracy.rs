@@ -153,8 +153,9 @@ impl Pilot {
         (self.step * moment).min(0.25 * (self.step * point.per_count).powi(2))
     }
 
-    /// What n × n samples a pixel leave: of the line, its first alias and at edges what
-    /// the pilot found, falling as the square of n; of speckle what they miss of the
+    /// What n × n samples a pixel leave: of the line, its first alias and what the pilot
+    /// found, falling as the square of n, and at edges as its power of 1.5, as n rows of
+    /// samples miss an oblique edge by independent parts of 1/n each; of speckle what they miss of the
     /// pixel's mean; of both what rounding makes of it, which if it is little happens in few
     /// columns. They miss G''/(24·n²) of a line G = A·exp(-y²/2σ²), and
     /// ∫y²·|G''| = 5.447·A·σ, ∫|G''| = 2.426·A/σ.
@@ -166,19 +167,23 @@ impl Pilot {
         };
         let more = self.dark_columns();
         self.each(|p| {
-            let found = match n {
-                1 | 2 => p.coarse[n as usize - 1],
-                _ => Some(p.coarse[1].unwrap_or(0.0) * (2.0 / n as f64).powi(2)),
+            let curved = |n: f64| 5.447 / (48.0 * PI * n * n * p.height * p.sigma);
+            // What rounding does not explain is an edge.
+            let edge = |found: f64| found.abs() > 3.0 * self.rounding(p, curved(2.0)).sqrt();
+            let share = 2.0 / n as f64;
+            let found = match (n, p.coarse[1].unwrap_or(0.0)) {
+                (1 | 2, _) => p.coarse[n as usize - 1].map(f64::abs),
+                (_, found) if edge(found) => Some(more * found.abs() * share.powf(1.5)),
+                (_, found) => Some(found.abs() * share * share),
             };
             let alias = sampling_error(p.sigma, n);
             let n = n as f64;
             let rounded =
                 (2.0 * missed * p.sigma + 0.101 / (n * n * p.sigma)) * p.height / self.step;
-            let curved = 5.447 / (48.0 * PI * n * n * p.height * p.sigma);
             let broken = missed * p.sigma / (PI * p.height);
             let grains = Self::centroid(p.sigma, missed);
-            let variance = self.rounding(p, curved + broken);
-            HeightError::bias(found.map(|found| found.abs() + alias))
+            let variance = self.rounding(p, curved(n) + broken);
+            HeightError::bias(found.map(|found| found + alias))
                 .and(HeightError::random(more * grains))
                 .and(HeightError::rare(more * more * variance, rounded))
         })
