@@ -16,6 +16,21 @@ fn assert_refused(text: &str, words: &[&str]) {
 
 /// What is changed in the scene, into what, and what the message then holds.
 const MISTAKES: &[(&str, &str, &str)] = &[
+    (
+        "[scan]",
+        "[accuracy]\nheight_um = -1\n[scan]",
+        ": accuracy.height_um: found -1, expected a finite number > 0",
+    ),
+    (
+        "[scan]",
+        "[plan]\nsamples_per_side = 17\n[scan]",
+        ": plan.samples_per_side: found 17, expected from 1 to 16",
+    ),
+    (
+        "[scan]",
+        "[plan]\ngeometry_only = true\n[scan]",
+        ": plan.geometry_only: found true, expected false: it takes a line laser",
+    ),
     ("seed = 7", "seed = 7 8", ":1: found text that is not TOML"),
     (
         "seed = 7",

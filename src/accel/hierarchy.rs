@@ -13,7 +13,18 @@ use crate::mesh::{Mesh, Watch, memory};
 use glam::Vec3;
 
 /// What finds the triangle a ray meets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, clap::ValueEnum)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    serde::Serialize,
+    serde::Deserialize,
+    schemars::JsonSchema,
+    clap::ValueEnum,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
     /// Embree, in f32
@@ -27,7 +38,7 @@ pub enum Backend {
 
 impl Backend {
     /// Most memory a triangle takes while the hierarchy is built, bytes.
-    fn build_bytes(self) -> u64 {
+    pub fn build_bytes(self) -> u64 {
         match self {
             #[cfg(feature = "embree")]
             Backend::Embree => embree::BUILD,

@@ -73,6 +73,7 @@ pub struct ParameterResult {
 /// Writes `calibration.json`, `residuals.svg` and `summary.json` to `out`. The
 /// scene's own part and scan play no role; its calibration is not used.
 pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<CalibrationSummary> {
+    scene.tolerance_um = None; // it was stated for the part
     let truth = perfect_calibration(&scene);
     let key = Key::new(scene.seed, Purpose::Calibration);
     let impossible = |expected: &str| -> Error {

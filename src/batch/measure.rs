@@ -46,8 +46,15 @@ impl Simulation<'_> {
 
     /// The profile that an ideal image would have, from laser rays and what the
     /// camera sees of them, and its points. The stated uncertainty is still that of
-    /// the peaks of real images. Empty but in [`Simulation::geometry`].
+    /// the peaks of real images. Empty but where the plan takes geometry only.
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, uncertainties) = self.geometric_peaks(frame);
+        let points = self.points(frame, &peaks, &uncertainties);
+        (peaks, points)
+    }
+
+    /// Its peaks and the standard uncertainty of their rows, px.
+    pub(super) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<f64>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
@@ -57,8 +64,7 @@ impl Simulation<'_> {
         let columns = self.scene.camera.sensor.resolution.x as usize;
         compare_neighbours(&mut peaks, columns, settings.expected_sigma);
         let uncertainties = self.errors.row_uncertainties(&mut peaks);
-        let points = self.points(frame, &peaks, &uncertainties);
-        (peaks, points)
+        (peaks, uncertainties)
     }
 
     /// The peak whose counts are what the sensor would expect of a line as wide as

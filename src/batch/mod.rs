@@ -3,12 +3,15 @@
 #[cfg(feature = "race")]
 mod bench_bvh;
 mod calibrate;
+mod chart;
 mod files;
 mod frames;
 mod journal;
 mod measure;
 mod peak_image;
 mod peaks;
+mod pilot;
+mod planner;
 mod render;
 mod report;
 mod scan;
@@ -16,18 +19,22 @@ mod scan_speckle;
 mod simulation;
 mod speckle;
 mod synthetic;
+mod tiers;
 mod uncertainty;
 mod wave;
 
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
+pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
+pub use planner::scene_plan;
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
+pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,

@@ -15,6 +15,7 @@ use crate::inspect::picture::{ParallelView, part_picture};
 use crate::inspect::report::{ColorMap, Report};
 use crate::inspect::setup::Setup;
 use crate::inspect::viewer::{Layer, Mode, Viewer};
+use crate::integrator::plan::Effect;
 use crate::math::DVec3;
 
 /// Points and places in the viewer: what half a megabyte holds.
@@ -38,6 +39,20 @@ pub struct Shown<'a> {
     pub run: Vec<(&'static str, String)>,
 }
 
+/// A row of the report's table of what was modelled.
+fn plan_row(effect: &Effect) -> [String; 6] {
+    let modelled = if effect.modelled { "yes" } else { "no" };
+    let number = |n: Option<f64>| n.map_or(String::new(), short);
+    [
+        effect.effect.into(),
+        modelled.into(),
+        effect.method.clone(),
+        effect.why.clone(),
+        number(effect.influence_um),
+        number(effect.cost_ms),
+    ]
+}
+
 impl Shown<'_> {
     pub fn report(self, control: &Control) -> Result<Report> {
         let plan = &self.simulation.plan;
@@ -57,19 +72,8 @@ impl Shown<'_> {
                 true => self.sample_frames(),
                 false => Vec::new(),
             },
-            plan: plan
-                .effects
-                .iter()
-                .map(|e| {
-                    let modelled = if e.modelled { "yes" } else { "no" };
-                    [
-                        e.effect.into(),
-                        modelled.into(),
-                        e.method.clone(),
-                        e.why.clone(),
-                    ]
-                })
-                .collect(),
+            plan: plan.effects.iter().map(plan_row).collect(),
+            accuracy: plan.accuracy.as_ref().map(|a| a.statement.clone()),
             coverage: self.summary.coverage.clone(),
             run: self.run,
         })

@@ -14,6 +14,8 @@ use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
 use crate::inspect::formats::Format;
 use crate::inspect::uncertainty::UncertaintyStatistics;
+use crate::integrator::Plan;
+use crate::integrator::accuracy::Accuracy;
 use crate::math::DVec3;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -43,6 +45,8 @@ pub struct ScanSummary {
     pub flags: BTreeMap<&'static str, usize>,
     /// `null` if the scene does not ask for it or too few points were measured.
     pub alignment: Option<Alignment>,
+    /// What was planned for the scene's tolerance, if it states one.
+    pub accuracy: Option<Accuracy>,
     pub coverage: Option<SurfaceCoverage>,
     pub cloud: PathBuf,
     pub report: PathBuf,
@@ -60,6 +64,7 @@ struct Manifest<'a> {
     /// Frames that an earlier run had finished.
     frames_kept: usize,
     coverage: Coverage,
+    plan: &'a Plan,
     threads: usize,
     seconds_prepare: f64,
     seconds_frames: f64,
@@ -109,14 +114,15 @@ pub fn scan(
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
     let simulation = match options.geometry_only {
-        true => Simulation::of_geometry(scene, control.hierarchy(scene)?),
+        true => Simulation::of_geometry(scene, control.hierarchy(scene)?)?,
         false => options.coverage.simulation(scene, control)?,
     };
+    let geometry_only = simulation.plan.geometry_only;
     let prepared = Instant::now();
 
     let run = Run {
         simulation: &simulation,
-        geometry_only: options.geometry_only,
+        geometry_only,
         out,
         control,
         done: AtomicU64::new(kept.len() as u64),
@@ -141,6 +147,7 @@ pub fn scan(
         key: &key,
         frames_kept: kept.len(),
         coverage: options.coverage,
+        plan: &simulation.plan,
         threads: rayon::current_num_threads(),
         seconds_prepare: (prepared - start).as_secs_f64(),
         seconds_frames: (measured - prepared).as_secs_f64(),
@@ -212,6 +219,7 @@ fn finish(
     control.check()?;
     let mut summary = summary(scene, frames, &points, out);
     summary.alignment = alignment;
+    summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
     for format in &options.also {
@@ -224,7 +232,7 @@ fn finish(
         points: &points,
         frames: frames.clone(),
         poses: &poses,
-        images: !options.geometry_only,
+        images: !simulation.plan.geometry_only,
         summary: &summary,
         run,
     };
@@ -274,6 +282,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         uncertainty: UncertaintyStatistics::of(points),
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
         alignment: None,
+        accuracy: None,
         coverage: None,
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),

@@ -101,6 +101,17 @@ impl ScanSpeckle {
         })
     }
 
+    /// Bytes of the patterns that reading takes.
+    pub fn memory(&self) -> usize {
+        match &self.source {
+            PatternSource::Ring { lookup, .. } => lookup.memory(),
+            PatternSource::Frame { fields, slip } => {
+                let strips = if slip.is_some() { 2 } else { 1 };
+                strips * fields.field_memory()
+            }
+        }
+    }
+
     pub fn at(&self, place: f64, part_from_head: &Rigid) -> Speckle<'_> {
         let at = self.anchor.coordinate(place, part_from_head);
         let patterns = match &self.source {

@@ -2,9 +2,10 @@
 //! patterns computed. Each frame depends on its number alone.
 
 use super::measure::error_model;
+use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
 use crate::accel::{Accel, Clusters};
-use crate::camera::{DARK_GROUP, DarkCounts};
+use crate::camera::{DARK_GROUP, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
 use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
@@ -12,19 +13,22 @@ use crate::math::rng::{Key, Purpose};
 use crate::math::{Aabb, Rigid};
 use crate::mesh::Watch;
 use crate::profile::{Calibration, ErrorModel};
-use crate::scene::{Motion, Scene};
+use crate::scene::{Motion, Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 pub struct Simulation<'s> {
     pub scene: &'s Scene,
-    pub accel: Accel<'s>,
+    pub accel: Arc<Accel<'s>>,
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
     speckle: Option<ScanSpeckle>,
     /// `None`: every sample is traced.
-    clusters: Option<Clusters>,
+    clusters: Option<Arc<Clusters>>,
+    /// The scene's, without noise if the plan leaves it out.
+    sensor: Sensor,
     /// `None`: dark counts are all the same.
     dark: Option<DarkCounts>,
     pub(super) errors: ErrorModel,
@@ -50,10 +54,16 @@ impl<'s> Simulation<'s> {
     }
 
     pub(super) fn of_footprint(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
-        Ok(Simulation {
-            clusters: Some(Clusters::new(&scene.mesh)),
-            ..Simulation::of_everything(scene, accel)?
-        })
+        let simulation = Simulation::of_everything(scene, accel)?;
+        Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))
+    }
+
+    /// The same, tracing only what may see lit surface.
+    pub(super) fn with_clusters(self, clusters: Arc<Clusters>) -> Simulation<'s> {
+        Simulation {
+            clusters: Some(clusters),
+            ..self
+        }
     }
 
     /// One that traces every sample, to the same bytes.
@@ -62,46 +72,63 @@ impl<'s> Simulation<'s> {
     }
 
     pub(super) fn of_everything(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
-        let measuring = Simulation::measuring(scene, accel);
-        Ok(Simulation {
-            speckle: scene
-                .speckle
-                .as_ref()
-                .map(|model| ScanSpeckle::new(scene, model, measuring.plan.speckle_slips))
-                .transpose()?,
-            ..measuring
-        })
+        let accel = Arc::new(accel);
+        let plan = planner::scene_plan_with(scene, &accel)?;
+        Simulation::with_plan(scene, accel, plan)
     }
 
     /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
     pub fn geometry(scene: &'s Scene) -> Result<Simulation<'s>> {
         let accel = hierarchy(scene, &|_| Ok(()))?;
-        Ok(Simulation::of_geometry(scene, accel))
+        Simulation::of_geometry(scene, accel)
     }
 
-    pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Simulation<'s> {
+    pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
+        let plan = planner::geometry_only(plan(scene));
+        Simulation::with_plan(scene, Arc::new(accel), plan)
+    }
+
+    /// One that does what `plan` says.
+    pub(super) fn with_plan(
+        scene: &'s Scene,
+        accel: Arc<Accel<'s>>,
+        plan: Plan,
+    ) -> Result<Simulation<'s>> {
+        let speckle = match (&scene.speckle, plan.speckle) {
+            (Some(model), Some(method)) => {
+                let model = SpeckleModel { method, ..*model };
+                Some(ScanSpeckle::new(scene, &model, plan.speckle_slips)?)
+            }
+            _ => None,
+        };
+        let mut sensor = scene.camera.sensor.clone();
+        sensor.noise = sensor.noise.filter(|_| plan.noise);
         let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
-        Simulation {
-            sheet: scene.laser.fan.as_ref().map(sheet),
-            ..Simulation::measuring(scene, accel)
-        }
-    }
-
-    fn measuring(scene: &'s Scene, accel: Accel<'s>) -> Simulation<'s> {
-        Simulation {
+        Ok(Simulation {
             scene,
             accel,
-            plan: plan(scene),
             calibration: scene
                 .calibration
                 .clone()
                 .unwrap_or_else(|| perfect_calibration(scene)),
-            speckle: None,
+            speckle,
             clusters: None,
-            dark: DarkCounts::new(&scene.camera.sensor),
+            dark: DarkCounts::new(&sensor),
+            sensor,
             errors: error_model(scene),
-            sheet: None,
-        }
+            sheet: scene
+                .laser
+                .fan
+                .as_ref()
+                .filter(|_| plan.geometry_only)
+                .map(sheet),
+            plan,
+        })
+    }
+
+    /// Bytes of the patterns of speckle.
+    pub(super) fn speckle_memory(&self) -> usize {
+        self.speckle.as_ref().map_or(0, ScanSpeckle::memory)
     }
 
     pub fn view(&self, frame: u32) -> View<'_> {
@@ -141,7 +168,7 @@ impl<'s> Simulation<'s> {
 
     /// What the sensor makes of the light.
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Vec<u16> {
-        let sensor = &self.scene.camera.sensor;
+        let sensor = &self.sensor;
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let pixel = |i: usize| key.with(i as u64);
@@ -213,7 +240,7 @@ pub fn plan(scene: &Scene) -> Plan {
         &boxes,
         exposure_motion(scene),
         scene.speckle.as_ref().map(|s| SpeckleOptics {
-            per_pixel: matches!(s.method, Method::Prefiltered { .. }),
+            method: s.method,
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
             step: step_of_speckle(scene, s.method == Method::Field),

@@ -51,6 +51,8 @@ pub fn monte_carlo(
     control: &Control,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
+    // What is scattered must not be left out.
+    scene.tolerance_um = None;
     files::create_folder(out)?;
     let (truth, calibration) = ideal_peaks(&mut scene, frame)?;
     let columns = scene.camera.sensor.resolution.x;

@@ -1,6 +1,7 @@
 use super::{Output, SceneArguments};
 use crate::batch;
 use crate::error::Result;
+use crate::inspect::chart::short;
 use crate::integrator::Plan;
 use crate::mesh::{self, MeshReport};
 use crate::scene::Scene;
@@ -24,7 +25,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
     let check = Check {
         mesh: mesh::report(&scene.mesh),
-        plan: batch::plan(&scene),
+        plan: batch::scene_plan(&scene)?,
         scene: &scene,
     };
     output.result(&check, &text(&check))
@@ -39,10 +40,30 @@ fn text(check: &Check) -> String {
         } else {
             "left out"
         };
+        let numbers = match (effect.influence_um, effect.cost_ms) {
+            (None, None) => String::new(),
+            (um, ms) => format!(
+                " [{}{}]",
+                um.map_or("moves heights by an unknown way".into(), |um| format!(
+                    "moves heights by {} µm",
+                    short(um)
+                )),
+                ms.map_or(String::new(), |ms| format!(", costs {} ms", short(ms)))
+            ),
+        };
         let _ = writeln!(
             text,
-            "  {:<32} {modelled:<9} {}: {}",
+            "  {:<32} {modelled:<9} {}: {}{numbers}",
             effect.effect, effect.method, effect.why
+        );
+    }
+    if let Some(accuracy) = &check.plan.accuracy {
+        let _ = writeln!(
+            text,
+            "\naccuracy, tolerance {} µm: {}; {} ms a frame on one core",
+            accuracy.tolerance_um,
+            accuracy.statement,
+            short(accuracy.cost_ms)
         );
     }
     if let (Some([x, y]), Some(distance)) = (

@@ -2,6 +2,7 @@
 
 mod bench_bvh;
 mod calibrate;
+mod chart;
 mod check;
 mod peaks;
 mod render;
@@ -52,6 +53,8 @@ enum Command {
     Scan(scan::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
+    /// Chart accuracy against speed: every way of doing the scene's frames
+    Chart(chart::Arguments),
     /// Make a speckle pattern and hold its statistics against theory
     Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
@@ -90,16 +93,16 @@ impl SceneArguments {
         });
         let mut scene = scene?;
         scene.seed = self.seed.unwrap_or(scene.seed);
-        scene.accel = self.accel.accel;
+        scene.accel = self.accel.accel.unwrap_or(scene.accel);
         Ok(scene)
     }
 }
 
 #[derive(clap::Args)]
 struct AccelArguments {
-    /// What finds the triangles rays meet
-    #[arg(long, value_enum, default_value_t)]
-    accel: Backend,
+    /// What finds the triangles rays meet [default: the scene's plan.accel]
+    #[arg(long, value_enum)]
+    accel: Option<Backend>,
 }
 
 /// Which samples to trace.
@@ -209,6 +212,7 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
         Command::Calibrate(arguments) => calibrate::run(arguments, &output),
+        Command::Chart(arguments) => chart::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),

@@ -91,6 +91,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         summary.report.display(),
         summary.cloud.display()
     );
+    if let Some(accuracy) = &summary.accuracy {
+        text += &format!("\naccuracy:         {}", accuracy.statement);
+    }
     for picture in &summary.pictures {
         text += &format!("\npicture:          {}", picture.display());
     }

@@ -35,7 +35,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let mut scene = arguments.scene.as_deref().map(Scene::load).transpose()?;
     if let Some(scene) = &mut scene {
-        scene.accel = arguments.accel.accel;
+        scene.accel = arguments.accel.accel.unwrap_or(scene.accel);
     }
     let rows = scene.as_ref().map_or(batch::reference_motions(), |_| 3);
     let bar = output.progress(rows as u64, "motions");

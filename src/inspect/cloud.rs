@@ -30,7 +30,7 @@ impl CloudPoint {
     /// Whether nothing is doubtful about its peak. That its uncertainty is not
     /// stated (OUTSIDE) does not make it so.
     pub fn is_sound(&self) -> bool {
-        self.flags.difference(Flags::OUTSIDE).is_empty()
+        self.flags.is_sound()
     }
 }
 

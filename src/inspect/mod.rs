@@ -1,6 +1,7 @@
 //! The measurement against the CAD: point cloud, deviation, report. The only
 //! place where what was measured meets what is true.
 
+pub mod accuracy_chart;
 pub mod align;
 pub mod chart;
 pub mod cloud;

@@ -27,7 +27,9 @@ pub struct Report {
     pub setup: Vec<(&'static str, String)>,
     pub frames: Vec<SampleFrame>,
     /// Effect, modelled, method, reason.
-    pub plan: Vec<[String; 4]>,
+    pub plan: Vec<[String; 6]>,
+    /// What the plan says of the scene's tolerance.
+    pub accuracy: Option<String>,
     pub run: Vec<(&'static str, String)>,
 }
 
@@ -169,7 +171,8 @@ impl Report {
     fn plan_table(&self, html: &mut String) {
         html.push_str(
             "<h2>What was modelled</h2>\
-             <table><tr><th>effect</th><th>modelled</th><th>how</th><th>why</th></tr>",
+             <table><tr><th>effect</th><th>modelled</th><th>how</th><th>why</th>\
+             <th>moves height by, µm</th><th>costs, ms a frame</th></tr>",
         );
         for row in &self.plan {
             html.push_str("<tr>");
@@ -179,6 +182,9 @@ impl Report {
             html.push_str("</tr>");
         }
         html.push_str("</table>");
+        if let Some(accuracy) = &self.accuracy {
+            let _ = write!(html, "<p>{}</p>", escape(accuracy));
+        }
     }
 }
 
@@ -340,6 +346,7 @@ mod tests {
                 line: vec![(0.5, 1.0), (1.5, 1.2), (4.5, 1.0)],
             }],
             plan: vec![],
+            accuracy: None,
             run: vec![],
         };
         let html = report.html();

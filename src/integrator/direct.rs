@@ -36,7 +36,10 @@ pub struct View<'a> {
 }
 
 /// How the samples of a pixel come by the surface they see.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
 pub enum Sampling {
     /// A ray for each: the oracle of the other.
     Rays,

@@ -65,6 +65,11 @@ impl Irradiance {
         self.pixels.rows
     }
 
+    /// Number of pixels that may be lit.
+    pub fn looked_at(&self) -> usize {
+        self.values.len()
+    }
+
     /// Columns of a row that may be lit, from left to right, and their irradiance.
     pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         let values = &self.values[self.starts[row]..self.starts[row + 1]];

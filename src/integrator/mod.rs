@@ -1,10 +1,13 @@
 //! Laser light on the part, seen by the camera: the irradiance image.
 
+pub mod accuracy;
 mod bend;
+mod cost;
 mod cutoff;
 mod direct;
 mod footprint;
 mod geometric;
+pub mod height_error;
 mod irradiance;
 mod lit;
 mod pixels;

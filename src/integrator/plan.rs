@@ -2,18 +2,26 @@
 //! needs.
 
 use super::Sampling;
+use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use serde::Serialize;
 use std::f64::consts::PI;
 
-/// What a frame of this scene needs.
+/// What a frame of this scene needs. Each way of doing it is a value here.
 #[derive(Debug, Clone, Serialize)]
 pub struct Plan {
+    /// Profiles come from laser rays and the camera's view of them, without images.
+    pub geometry_only: bool,
+    /// How speckle is read; `None`: light is taken as incoherent.
+    pub speckle: Option<Method>,
+    /// Whether counts have the sensor's noise, if the scene gives any.
+    pub noise: bool,
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
     pub sampling: Sampling,
@@ -39,6 +47,8 @@ pub struct Plan {
     /// Whether the pattern slips on surfaces out of focus as they move.
     pub speckle_slips: bool,
     pub effects: Vec<Effect>,
+    /// `None`: the scene states no tolerance.
+    pub accuracy: Option<Accuracy>,
 }
 
 /// One line of the plan.
@@ -48,6 +58,26 @@ pub struct Effect {
     pub modelled: bool,
     pub method: String,
     pub why: String,
+    /// How far it moves heights, or what is left of it does: 99 of 100 points by less,
+    /// µm. `None` without a tolerance, and where no formula says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub influence_um: Option<f64>,
+    /// Predicted cost of modelling it, ms of one core a frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cost_ms: Option<f64>,
+}
+
+impl Effect {
+    pub fn new(effect: &'static str, modelled: bool, method: String, why: String) -> Effect {
+        Effect {
+            effect,
+            modelled,
+            method,
+            why,
+            influence_um: None,
+            cost_ms: None,
+        }
+    }
 }
 
 /// What the plan must know of speckle.
@@ -56,8 +86,7 @@ pub struct SpeckleOptics {
     pub aperture: Aperture,
     /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
     pub contrast: f64,
-    /// The patterns are already integrated over the pixel.
-    pub per_pixel: bool,
+    pub method: Method,
     pub step: SpeckleStep,
 }
 
@@ -92,12 +121,12 @@ const CONTRAST_TOLERANCE: f64 = 0.03;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
-const MAX_SAMPLES_PER_SIDE: u32 = 16;
+pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
 
 /// Greatest error (pixels) of the centroid of a Gaussian of standard deviation
 /// `sigma` pixels sampled `n` times a pixel: by Poisson's summation formula the
 /// first alias of the first moment, 4πσ²n·exp(-2π²σ²n²).
-fn sampling_error(sigma: f64, n: u32) -> f64 {
+pub fn sampling_error(sigma: f64, n: u32) -> f64 {
     let n = n as f64;
     4.0 * PI * sigma * sigma * n * (-2.0 * (PI * sigma * n).powi(2)).exp()
 }
@@ -112,7 +141,7 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
         })
         .unwrap_or(MAX_SAMPLES_PER_SIDE);
     let grain = match speckle {
-        Some(optics) if !optics.per_pixel => {
+        Some(optics) if !matches!(optics.method, Method::Prefiltered { .. }) => {
             // Past this many grains a pixel no affordable number of samples does.
             let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
             samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
@@ -143,6 +172,9 @@ impl Plan {
         let plane_normal = camera_from_laser.rotation.y_axis;
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
         let mut plan = Plan {
+            geometry_only: false,
+            speckle: speckle.map(|optics| optics.method),
+            noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
             cutoff_radii: cutoff_radii(laser, camera, part_in_laser),
@@ -157,6 +189,7 @@ impl Plan {
             laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
             speckle_slips: false,
             effects: Vec::new(),
+            accuracy: None,
         };
         let slip = speckle.as_ref().map(|optics| line.slip(optics));
         plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
@@ -171,12 +204,7 @@ impl Plan {
         exposure: Option<ExposureMotion>,
         sigma: f64,
     ) -> Vec<Effect> {
-        let effect = |effect, modelled, method: String, why: String| Effect {
-            effect,
-            modelled,
-            method,
-            why,
-        };
+        let effect = Effect::new;
         vec![
             self.pixel_effect(sigma),
             effect(
@@ -226,44 +254,41 @@ impl Plan {
 
     fn pixel_effect(&self, sigma: f64) -> Effect {
         let n = self.samples_per_side;
-        Effect {
-            effect: "pixel integration",
-            modelled: true,
-            method: match n {
+        Effect::new(
+            "pixel integration",
+            true,
+            match n {
                 1 => "1 ray a pixel".into(),
                 _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
             },
-            why: format!(
+            format!(
                 "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
                  dark beyond {:.2} radii",
                 self.line_half_width_px,
                 sampling_error(sigma, n).max(1e-6),
                 self.cutoff_radii
             ),
-        }
+        )
     }
 
     fn exposure_effect(&self, exposure: Option<ExposureMotion>) -> Effect {
         let poses = exposure.map_or(1, |exposure| exposure.poses);
-        let speed = match exposure {
-            Some(exposure) => format!(
-                "the head goes {:.2} µm over the part in one exposure",
-                exposure.way * 1e3
-            ),
-            None => "no scan.frame_rate_hz is given".into(),
-        };
-        Effect {
-            effect: "motion during the exposure",
-            modelled: poses > 1,
-            method: match poses {
+        let speed = exposure.map_or("no scan.frame_rate_hz is given".into(), |exposure| {
+            let way = exposure.way * 1e3;
+            format!("the head goes {way:.2} µm over the part in one exposure")
+        });
+        Effect::new(
+            "motion during the exposure",
+            poses > 1,
+            match poses {
                 1 => "head at rest".into(),
                 _ => format!("mean of {poses} poses"),
             },
-            why: format!(
+            format!(
                 "{speed}; 1 px is {:.1} µm along the beam",
                 1e3 / self.px_per_mm
             ),
-        }
+        )
     }
 }
 
@@ -290,21 +315,21 @@ impl LineImage {
             shared * (1.0 - kept * kept)
         });
         let modelled = error > CORRELATION_TOLERANCE;
-        Effect {
-            effect: "speckle out of focus",
+        Effect::new(
+            "speckle out of focus",
             modelled,
-            method: match modelled {
+            match modelled {
                 true => "two strips of the pupil's field, each displaced by its defocus".into(),
                 false => "moves with the surface".into(),
             },
-            why: match slip {
+            match slip {
                 Some(slip) => format!(
                     "slips up to {slip:.2} grains a frame: without, the correlation of \
                      neighbouring frames, {shared:.3} at most, is off by {error:.3}"
                 ),
                 None => "intensities are read, or speckle moves but hardly changes".into(),
             },
-        }
+        )
     }
 
     /// From 9 × 9 points of the laser plane within each of the part's boxes, those

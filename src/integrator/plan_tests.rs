@@ -34,7 +34,7 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
     let optics = SpeckleOptics {
         aperture: Aperture::Circle,
         contrast: 1.0,
-        per_pixel: false,
+        method: Method::Field,
         step: SpeckleStep {
             across_sheet: 0.0,
             gamma: 1.0,
@@ -42,7 +42,7 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
         },
     };
     let prefiltered = SpeckleOptics {
-        per_pixel: true,
+        method: Method::Prefiltered { q: 1.0 },
         ..optics
     };
     assert_eq!(samples_per_side(3.0, 1.0, None), 1);

@@ -55,6 +55,14 @@ bitflags! {
     }
 }
 
+impl Flags {
+    /// Whether nothing is doubtful. That an uncertainty is not stated (OUTSIDE) does not
+    /// make it so.
+    pub fn is_sound(self) -> bool {
+        self.difference(Flags::OUTSIDE).is_empty()
+    }
+}
+
 /// Names joined by `|`; nothing without a flag.
 impl fmt::Display for Flags {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {

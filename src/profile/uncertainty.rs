@@ -97,6 +97,14 @@ impl ErrorModel {
         }
     }
 
+    /// The same for light without shot noise.
+    pub fn without_shot(self) -> ErrorModel {
+        ErrorModel {
+            gain_dn_per_e: 0.0,
+            ..self
+        }
+    }
+
     /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
     /// peaks for which it is not valid. `peaks` are those of one frame, in the order
     /// of columns; a line's width is that of its neighbourhood, as one column's is

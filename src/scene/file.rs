@@ -1,6 +1,7 @@
 //! The scene file as written: TOML, millimetres unless the key says otherwise.
 //! The doc comments here become the descriptions in the JSON Schema.
 
+use super::accuracy::{AccuracyTable, PlanTable};
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,10 @@ pub struct SceneFile {
     pub scan: ScanTable,
     #[serde(default)]
     pub measure: MeasureTable,
+    #[serde(default)]
+    pub accuracy: AccuracyTable,
+    #[serde(default)]
+    pub plan: PlanTable,
 }
 
 /// How speckle patterns are read.

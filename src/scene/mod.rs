@@ -1,5 +1,6 @@
 //! The scene: what is written in the file, and what that means in internal units.
 
+mod accuracy;
 mod file;
 mod locate;
 mod optics;
@@ -7,6 +8,7 @@ mod path;
 mod poses;
 mod resolve;
 
+pub use accuracy::PlanTable;
 pub use file::{Moves, SceneFile, Unit, schema};
 pub use path::{Motion, ScanPath};
 pub use resolve::{Measure, Scene, SpeckleModel};

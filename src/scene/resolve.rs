@@ -1,5 +1,6 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
+use super::accuracy::PlanTable;
 use super::file::{PartTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
@@ -45,6 +46,10 @@ pub struct Scene {
     pub write_frames: bool,
     /// What finds the triangles rays meet.
     pub accel: Backend,
+    /// Error of height (µm) that the simulation may add; `None`: nothing is left out.
+    pub tolerance_um: Option<f64>,
+    /// Methods the scene names.
+    pub methods: PlanTable,
     #[serde(skip)]
     pub mesh: Mesh,
     pub surface: Lambert,
@@ -167,6 +172,12 @@ impl Resolver<'_> {
         let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
         let speckle = self.speckle(&file, &laser, &camera)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
+        let by_field = speckle.is_some_and(|s| s.method == Method::Field);
+        let methods = self.methods(
+            &file.plan,
+            (file.write_frames, laser.fan.is_some()),
+            by_field && !scan.turns(),
+        )?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
@@ -178,7 +189,9 @@ impl Resolver<'_> {
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
-            accel: Backend::default(),
+            accel: methods.accel.unwrap_or_default(),
+            tolerance_um: self.tolerance(&file.accuracy)?,
+            methods,
             mesh,
             surface: Lambert { reflectance },
             part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),

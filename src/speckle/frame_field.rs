@@ -91,6 +91,11 @@ impl FrameFields {
         GrainMap::new(self.spec.texels_per_speckle, grain_mm, gradient).turned(TURN)
     }
 
+    /// Bytes of a field.
+    pub fn field_memory(&self) -> usize {
+        (self.spec.size + 1).pow(2) * size_of::<Complex32>()
+    }
+
     /// The field at `place`.
     pub fn field(&self, place: &PupilPlace) -> FrameField {
         self.part(place, |_| true)

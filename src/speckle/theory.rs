@@ -89,6 +89,31 @@ pub fn sampled_contrast(aperture: Aperture, q: f64, n: usize) -> f64 {
     variance.sqrt() / (n * n) as f64
 }
 
+/// Standard deviation of the difference between the mean of n × n point samples spread
+/// evenly over a pixel of pitch p = q·h and the mean over all of it, for speckle of mean
+/// 1: √(C_n² + C² − 2·K), K the covariance of the two, by the same quadrature.
+pub fn sampling_deviation(aperture: Aperture, q: f64, n: usize) -> f64 {
+    let nodes = gauss_legendre((2.0 * q).ceil().max(2.0) as usize);
+    let place = |i: usize| (i as f64 + 0.5) / n as f64;
+    // Of the symmetric quarters of the pixel one stands for all.
+    let quarter = n.div_ceil(2);
+    let weight = |i: usize| if 2 * i + 1 == n { 1.0 } else { 2.0 };
+    let mut covariance = 0.0;
+    for (i, j) in (0..quarter).flat_map(|i| (0..quarter).map(move |j| (i, j))) {
+        for &(x, wx) in &nodes {
+            for &(y, wy) in &nodes {
+                let lag = DVec2::new(place(i) - x, place(j) - y);
+                let mu = aperture.field_correlation(q * lag);
+                covariance += weight(i) * weight(j) * wx * wy * mu * mu;
+            }
+        }
+    }
+    covariance /= (n * n) as f64;
+    let variances =
+        sampled_contrast(aperture, q, n).powi(2) + integrated_contrast(aperture, q).powi(2);
+    (variances - 2.0 * covariance).max(0.0).sqrt()
+}
+
 /// Least n for which n × n point samples give the contrast of a pixel of pitch
 /// p = q·h to the relative `error`.
 pub fn samples_across_pixel(aperture: Aperture, q: f64, error: f64) -> usize {
@@ -240,5 +265,31 @@ mod tests {
     fn centroid_noise_is_the_law() {
         let law = centroid_noise(2.0, 8.0, 0.5) / (16f64.sqrt() * 0.5);
         assert!((law - 0.3905).abs() < 1e-4, "{law}");
+    }
+
+    /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 more: pairs
+    /// of samples summed one by one.
+    #[test]
+    fn samples_miss_what_pairs_of_samples_say() {
+        let mean = |n: usize| {
+            let place = move |i: usize| (i as f64 + 0.5) / n as f64;
+            (0..n * n).map(move |i| DVec2::new(place(i % n), place(i / n)))
+        };
+        for (q, n) in [(1.0, 1), (1.0, 3), (2.5, 2)] {
+            let covariance = |a: usize, b: usize| {
+                let pairs = mean(a).flat_map(|p| mean(b).map(move |r| p - r));
+                let sum: f64 = pairs
+                    .map(|lag| Aperture::Circle.field_correlation(q * lag).powi(2))
+                    .sum();
+                sum / (a * a * b * b) as f64
+            };
+            let pairs = covariance(n, n) + covariance(24, 24) - 2.0 * covariance(n, 24);
+            let found = sampling_deviation(Aperture::Circle, q, n);
+            // Midpoints 24 a side are good to (q/24)²/24·π²/2 of a variance of 1.
+            assert!(
+                (found.powi(2) - pairs).abs() < 3e-3,
+                "{q} {n}: {found} {pairs}"
+            );
+        }
     }
 }

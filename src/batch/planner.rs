@@ -1,0 +1,265 @@
+//! The plan of a scene: what its rules ask, what it names, and with a tolerance the
+//! cheapest that keeps it.
+
+use super::pilot::pilot;
+use super::simulation::{hierarchy, plan};
+use super::tiers::in_words;
+use crate::accel::Accel;
+use crate::error::Result;
+use crate::integrator::accuracy::{Pilot, candidates};
+use crate::integrator::height_error::{HeightError, quantile};
+use crate::integrator::plan::Effect;
+use crate::integrator::{Plan, Sampling};
+use crate::laser::CUTOFF_RADII;
+use crate::scene::{PlanTable, Scene};
+use crate::speckle::lookup::Method;
+use std::sync::Arc;
+
+const NAMED: &str = "named in [plan]";
+
+/// The plan of a scene as a run will follow it; with a tolerance builds the hierarchy.
+pub fn scene_plan(scene: &Scene) -> Result<Plan> {
+    match scene.tolerance_um {
+        None => Ok(told(&scene.methods, named(scene, plan(scene)))),
+        Some(_) => scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
+    }
+}
+
+/// What others are measured against: every sample traced, at least twice as many as the
+/// scene's rules or its plan ask for, to the end of the beam.
+pub(super) fn full(base: &Plan, plan: &Plan) -> Plan {
+    let most = base.samples_per_side.max(plan.samples_per_side);
+    Plan {
+        geometry_only: false,
+        sampling: Sampling::Rays,
+        samples_per_side: (2 * most).max(8),
+        cutoff_radii: CUTOFF_RADII,
+        ..base.clone()
+    }
+}
+
+pub(super) fn geometry_only(base: Plan) -> Plan {
+    Plan {
+        geometry_only: true,
+        speckle: None,
+        noise: false,
+        ..base
+    }
+}
+
+/// `plan` with the methods that the scene names.
+fn named(scene: &Scene, mut plan: Plan) -> Plan {
+    let methods = &scene.methods;
+    plan.geometry_only = methods.geometry_only.unwrap_or(plan.geometry_only);
+    if let Some(wanted) = methods.speckle {
+        plan.speckle = scene.speckle.map(|s| s.method).filter(|_| wanted);
+    }
+    if let Some(wanted) = methods.noise {
+        plan.noise = wanted && scene.camera.sensor.noise.is_some();
+    }
+    plan.speckle_slips = methods.speckle_slips.unwrap_or(plan.speckle_slips);
+    plan.samples_per_side = methods.samples_per_side.unwrap_or(plan.samples_per_side);
+    plan.sampling = methods.sampling.unwrap_or(plan.sampling);
+    plan.cutoff_radii = methods.cutoff_radii.unwrap_or(plan.cutoff_radii);
+    match plan.geometry_only {
+        true => geometry_only(plan),
+        false => plan,
+    }
+}
+
+/// Effects of a plan without a tolerance, as the scene's names changed them.
+fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
+    let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
+    let mut tell = |effect, modelled, method: &str| {
+        list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
+    };
+    if plan.geometry_only {
+        tell("width of the line", false, NO_WIDTH);
+        tell("speckle", false, "none");
+    } else {
+        if methods.speckle.is_some() {
+            tell("speckle", plan.speckle.is_some(), speckle_method(&plan));
+        }
+        if methods.noise.is_some() {
+            tell("sensor noise", plan.noise, noise_method(&plan));
+        }
+        let PlanTable {
+            samples_per_side,
+            sampling,
+            cutoff_radii,
+            ..
+        } = methods;
+        if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
+            tell("pixel integration", true, &in_words(&plan));
+        }
+    }
+    plan.effects
+        .retain(|e| list.iter().all(|l| l.effect != e.effect));
+    plan.effects.splice(0..0, list);
+    plan
+}
+
+fn slip_named(methods: &PlanTable) -> Option<Effect> {
+    let slips = methods.speckle_slips?;
+    let method = if slips {
+        "slips"
+    } else {
+        "moves with the surface"
+    };
+    Some(Effect::new(SLIP, slips, method.into(), NAMED.into()))
+}
+
+const SLIP: &str = "speckle out of focus";
+const NO_WIDTH: &str = "laser rays without width";
+
+fn speckle_method(plan: &Plan) -> &'static str {
+    match plan.speckle {
+        Some(Method::Field) => "complex field of each frame",
+        Some(Method::Trilinear) => "ring of intensities",
+        Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
+        None => "light taken as incoherent",
+    }
+}
+
+fn noise_method(plan: &Plan) -> &'static str {
+    match plan.noise {
+        true => "drawn for each pixel",
+        false => "counts are the rounded expectation",
+    }
+}
+
+/// The same over a hierarchy that is there.
+pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
+    let base = plan(scene);
+    let Some(tolerance) = scene.tolerance_um else {
+        return Ok(told(&scene.methods, named(scene, base)));
+    };
+    let geometry = scene.laser.fan.is_some() && !scene.write_frames;
+    let plans = candidates(
+        &base,
+        geometry && scene.methods.geometry_only != Some(false),
+    );
+    let own = std::iter::once(base.clone());
+    let plans = own.chain(plans).map(|plan| named(scene, plan));
+    let mut plans: Vec<Plan> = plans.collect();
+    let pilot = pilot(scene, accel, &base, &plans)?;
+    if pilot.points.is_empty() {
+        // Nothing speaks for leaving anything out.
+        plans.truncate(1);
+    }
+    let (mut plan, accuracy) = pilot.choose(plans, tolerance);
+    plan.effects = effects(scene, &pilot, &base, &plan);
+    plan.accuracy = Some(accuracy);
+    Ok(plan)
+}
+
+/// The effects of a scene, what each does to its heights, and how it is modelled.
+fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect> {
+    let methods = &scene.methods;
+    let mut list = List(Vec::new());
+    list.randomness(scene, pilot, plan);
+    let image = Plan {
+        geometry_only: false,
+        ..plan.clone()
+    };
+    let (method, why) = match plan.geometry_only {
+        true => (NO_WIDTH, "no image is taken"),
+        false => ("image", "bends, edges and shadows shape the line"),
+    };
+    let width = list.add(
+        "width of the line",
+        !plan.geometry_only,
+        method,
+        pilot.geometry(),
+    );
+    width.why = because(methods.geometry_only.is_some(), why);
+    width.cost_ms = Some(pilot.cost_ms(&image));
+    if !plan.geometry_only {
+        let n = plan.samples_per_side;
+        let method = format!("{n} × {n} samples a pixel");
+        list.add("pixel integration", true, &method, pilot.samples(plan))
+            .why = because(methods.samples_per_side.is_some(), "what these still leave");
+        let (modelled, method) = match plan.sampling {
+            Sampling::Rays => (true, "a ray for each sample"),
+            Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
+            Sampling::Planes => (false, "flat between pixels, rays at edges"),
+        };
+        list.add(
+            "surface within a pixel",
+            modelled,
+            method,
+            pilot.planes(plan),
+        )
+        .why = because(methods.sampling.is_some(), "what facets that bend leave");
+        let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
+        list.add(
+            "light far from the line",
+            false,
+            &method,
+            pilot.cutoff(plan),
+        )
+        .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
+    }
+    let replaced = ["speckle", "pixel integration"];
+    let others = base.effects.iter();
+    let others = others.filter(|e| !replaced.contains(&e.effect));
+    list.0.extend(others.cloned().map(|effect| {
+        // A disc's standard deviation is a quarter of its diameter; the core of Airy's
+        // pattern is about a Gaussian of 0.42 h.
+        let blur = match effect.effect {
+            "defocus" => plan.defocus_blur_px / 4.0,
+            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+            SLIP => return slip_named(methods).unwrap_or(effect),
+            _ => return effect,
+        };
+        Effect {
+            influence_um: quantile(&pilot.widened(blur)),
+            ..effect
+        }
+    }));
+    list.0
+}
+
+fn because(named: bool, why: &str) -> String {
+    match named {
+        true => NAMED.into(),
+        false => why.into(),
+    }
+}
+
+struct List(Vec<Effect>);
+
+impl List {
+    fn add(
+        &mut self,
+        effect: &'static str,
+        modelled: bool,
+        method: &str,
+        errors: Vec<HeightError>,
+    ) -> &mut Effect {
+        self.0.push(Effect {
+            influence_um: quantile(&errors),
+            ..Effect::new(effect, modelled, method.to_owned(), String::new())
+        });
+        self.0.last_mut().expect("it was pushed")
+    }
+
+    fn randomness(&mut self, scene: &Scene, pilot: &Pilot, plan: &Plan) {
+        let methods = &scene.methods;
+        let [speckle_ms, noise_ms] = pilot.cost_of_randomness_ms(plan);
+        if scene.speckle.is_some() {
+            let method = speckle_method(plan);
+            let modelled = plan.speckle.is_some();
+            let speckle = self.add("speckle", modelled, method, pilot.speckle());
+            let why = format!("grain {:.2} px", plan.speckle_size_px);
+            speckle.why = because(methods.speckle.is_some(), &why);
+            speckle.cost_ms = Some(speckle_ms);
+        }
+        if scene.camera.sensor.noise.is_some() {
+            let method = noise_method(plan);
+            let noise = self.add("sensor noise", plan.noise, method, pilot.noise());
+            noise.why = because(methods.noise.is_some(), "shot noise and read noise");
+            noise.cost_ms = Some(noise_ms);
+        }
+    }
+}

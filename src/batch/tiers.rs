@@ -1,0 +1,397 @@
+//! Ways of doing a scene's frames, side by side: what each finds and how far that is
+//! from what another found.
+
+use super::planner::{full, geometry_only, scene_plan_with};
+use super::simulation::hierarchy;
+use super::{Coverage, Simulation};
+use crate::accel::{Accel, Backend, Clusters};
+use crate::error::Result;
+use crate::integrator::{Plan, Sampling};
+use crate::math::DVec2;
+use crate::profile::{Calibration, Peak, PeakFinder, PeakSettings, find_peaks};
+use crate::scene::Scene;
+use crate::speckle::lookup::Method;
+use serde::Serialize;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// One way of doing a frame.
+pub struct Tier<'s> {
+    pub name: String,
+    pub simulation: Simulation<'s>,
+    pub finder: PeakFinder,
+    pub coverage: Coverage,
+    pub accel: Backend,
+    /// Its speckle has other grains than the full model's: it errs by as much as two
+    /// draws differ, and its scatter says how well it does.
+    pub other_grains: bool,
+}
+
+/// What a tier makes of a frame.
+pub struct TierFrame {
+    pub peaks: Vec<Peak>,
+    /// Pixels looked at; none without an image.
+    pub pixels: usize,
+}
+
+impl Tier<'_> {
+    pub fn frame(&self, frame: u32) -> TierFrame {
+        if self.simulation.plan.geometry_only {
+            return TierFrame {
+                peaks: self.simulation.geometric_peaks(frame).0,
+                pixels: 0,
+            };
+        }
+        let irradiance = self.simulation.irradiance(frame);
+        let counts = self.simulation.counts(frame, &irradiance);
+        let columns = self.simulation.scene.camera.sensor.resolution.x as usize;
+        let settings = PeakSettings {
+            finder: self.finder,
+            ..self.simulation.peak_settings()
+        };
+        TierFrame {
+            peaks: find_peaks(&counts, columns, &settings),
+            pixels: irradiance.looked_at(),
+        }
+    }
+
+    /// Bytes of its hierarchy while that is built, its patterns, and a frame of so many
+    /// pixels looked at.
+    pub fn memory(&self, pixels: usize) -> usize {
+        let scene = self.simulation.scene;
+        let hierarchy = scene.mesh.triangles.len() * self.accel.build_bytes() as usize;
+        let image = match self.simulation.plan.geometry_only {
+            true => 0,
+            false => scene.camera.sensor.resolution.element_product() as usize * size_of::<u16>(),
+        };
+        hierarchy + self.simulation.speckle_memory() + image + pixels * size_of::<f32>()
+    }
+}
+
+/// What tiers of a scene share.
+pub struct Tiers<'s> {
+    scene: &'s Scene,
+    pub accel: Arc<Accel<'s>>,
+    clusters: Arc<Clusters>,
+    pub list: Vec<Tier<'s>>,
+    /// That which the scene's runs use.
+    pub chosen: usize,
+}
+
+impl<'s> Tiers<'s> {
+    fn none(scene: &'s Scene, accel: Accel<'s>) -> Tiers<'s> {
+        Tiers {
+            scene,
+            accel: Arc::new(accel),
+            clusters: Arc::new(Clusters::new(&scene.mesh)),
+            list: Vec::new(),
+            chosen: 0,
+        }
+    }
+
+    fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier<'s>> {
+        let full = self.list.first().map(|tier| &tier.simulation.plan);
+        let other_grains = plan.speckle.is_some()
+            && full.is_some_and(|full| {
+                (full.speckle, full.speckle_slips) != (plan.speckle, plan.speckle_slips)
+            });
+        let simulation = Simulation::with_plan(self.scene, self.accel.clone(), plan)?;
+        let simulation = match coverage {
+            Coverage::Footprint => simulation.with_clusters(self.clusters.clone()),
+            Coverage::Exhaustive => simulation,
+        };
+        self.list.push(Tier {
+            name: name.into(),
+            simulation,
+            finder: self.scene.measure.finder,
+            coverage,
+            accel: self.scene.accel,
+            other_grains,
+        });
+        Ok(self.list.last_mut().expect("it was pushed"))
+    }
+
+    /// All that this program can do; the full model first.
+    pub fn all(scene: &'s Scene, accel: Accel<'s>) -> Result<Tiers<'s>> {
+        let mut tiers = Tiers::none(scene, accel);
+        let base = super::plan(scene);
+        let n = base.samples_per_side;
+        let plan = scene_plan_with(scene, &tiers.accel)?;
+        let most = full(&base, &plan);
+        let side = most.samples_per_side;
+        let name = format!("full model: every pixel, {side} × {side} rays in each");
+        tiers.add(&name, most, Coverage::Exhaustive)?;
+        let rays = Plan {
+            sampling: Sampling::Rays,
+            ..base.clone()
+        };
+        let name = format!("every pixel, {n} × {n} rays in each");
+        tiers.add(&name, rays.clone(), Coverage::Exhaustive)?;
+        let name = format!("pixels at the line only, {n} × {n} rays in each");
+        tiers.add(&name, rays, Coverage::Footprint)?;
+        tiers.images(&base, plan)?;
+        tiers.randomness(&base)?;
+        tiers.finders(&base)?;
+        tiers.backend(&base)?;
+        if scene.laser.fan.is_some() {
+            tiers.add(
+                "geometry only, no image",
+                geometry_only(base),
+                Coverage::Footprint,
+            )?;
+        }
+        Ok(tiers)
+    }
+
+    /// Samples and where light ends; the plan of the scene among them.
+    fn images(&mut self, base: &Plan, plan: Plan) -> Result<()> {
+        let n = base.samples_per_side;
+        let name = match self.scene.tolerance_um {
+            Some(tolerance) => format!("plan for {tolerance} µm"),
+            None => "plan: flat pieces 1 ray a pixel".to_owned(),
+        };
+        self.chosen = self.list.len();
+        self.add(&name, plan, Coverage::Footprint)?;
+        let mut counts = vec![1, 2, n, 2 * n];
+        counts.sort_unstable();
+        counts.dedup();
+        for samples_per_side in counts {
+            let plan = Plan {
+                samples_per_side,
+                ..base.clone()
+            };
+            self.unless_chosen(plan, base)?;
+        }
+        for radii in [1.5, 2.0] {
+            let plan = Plan {
+                cutoff_radii: base.cutoff_radii.min(radii),
+                ..base.clone()
+            };
+            self.unless_chosen(plan, base)?;
+        }
+        Ok(())
+    }
+
+    fn unless_chosen(&mut self, plan: Plan, base: &Plan) -> Result<()> {
+        if words(&self.list[self.chosen].simulation.plan) == words(&plan) {
+            return Ok(());
+        }
+        let name = match difference(&plan, base) {
+            name if name.is_empty() => "without a tolerance".into(),
+            name => name,
+        };
+        self.add(&name, plan, Coverage::Footprint).map(drop)
+    }
+
+    /// Speckle and noise: without, and otherwise.
+    fn randomness(&mut self, base: &Plan) -> Result<()> {
+        let mut plans = Vec::new();
+        let with = |speckle, noise| Plan {
+            speckle,
+            noise,
+            ..base.clone()
+        };
+        if base.speckle.is_some() {
+            plans.push(with(None, base.noise));
+            let q = 1.0 / base.speckle_size_px;
+            let fits = (0.5..=32.0).contains(&q);
+            let prefiltered = fits.then_some(Method::Prefiltered { q });
+            let others = [Some(Method::Trilinear), prefiltered];
+            let others = others
+                .into_iter()
+                .filter(|m| m.is_some() && *m != base.speckle);
+            plans.extend(others.map(|method| with(method, base.noise)));
+        }
+        if base.speckle == Some(Method::Field) && !self.scene.scan.turns() {
+            plans.push(Plan {
+                speckle_slips: !base.speckle_slips,
+                ..base.clone()
+            });
+        }
+        if base.noise {
+            plans.push(with(base.speckle, false));
+        }
+        if base.speckle.is_some() && base.noise {
+            plans.push(with(None, false));
+        }
+        plans.push(Plan {
+            samples_per_side: 1,
+            cutoff_radii: base.cutoff_radii.min(1.5),
+            ..with(None, false)
+        });
+        plans
+            .into_iter()
+            .try_for_each(|plan| self.unless_chosen(plan, base))
+    }
+
+    fn finders(&mut self, base: &Plan) -> Result<()> {
+        for finder in PeakFinder::ALL {
+            if finder != self.scene.measure.finder {
+                let finder_name = match finder {
+                    PeakFinder::Centroid => "centroid",
+                    PeakFinder::LogParabola => "log-parabola",
+                    PeakFinder::GaussianFit => "gaussian-fit",
+                    PeakFinder::DerivativeZero => "derivative-zero",
+                };
+                let name = format!("peak finder {finder_name}");
+                self.add(&name, base.clone(), Coverage::Footprint)?.finder = finder;
+            }
+        }
+        Ok(())
+    }
+
+    fn backend(&mut self, base: &Plan) -> Result<()> {
+        if self.scene.accel == Backend::Rust {
+            return Ok(());
+        }
+        let threads = rayon::current_num_threads();
+        let accel = Accel::build_with(Backend::Rust, &self.scene.mesh, threads, &|_| Ok(()))?;
+        let embree = std::mem::replace(&mut self.accel, Arc::new(accel));
+        let tier = self.add("hierarchy in Rust", base.clone(), Coverage::Footprint)?;
+        tier.accel = Backend::Rust;
+        self.accel = embree;
+        Ok(())
+    }
+}
+
+/// A plan's values in words.
+pub fn in_words(plan: &Plan) -> String {
+    words(plan).join(", ")
+}
+
+fn words(plan: &Plan) -> Vec<String> {
+    if plan.geometry_only {
+        return vec!["geometry only, no image".into()];
+    }
+    let n = plan.samples_per_side;
+    let sampling = match plan.sampling {
+        _ if n == 1 => "1 ray a pixel".to_owned(),
+        Sampling::Planes => format!("{n} × {n} samples a pixel"),
+        Sampling::Rays => format!("{n} × {n} rays a pixel"),
+    };
+    let speckle = match plan.speckle {
+        None => "no speckle",
+        Some(Method::Field) if plan.speckle_slips => "speckle by field that slips out of focus",
+        Some(Method::Field) => "speckle by field",
+        Some(Method::Trilinear) => "speckle trilinear",
+        Some(Method::Prefiltered { .. }) => "speckle prefiltered",
+    };
+    let noise = if plan.noise { "noise" } else { "no noise" };
+    let light = format!("light to {:.2} beam radii", plan.cutoff_radii);
+    vec![sampling, speckle.into(), noise.into(), light]
+}
+
+/// In what it is not as `base`.
+fn difference(plan: &Plan, base: &Plan) -> String {
+    let base = words(base);
+    let mut words = words(plan);
+    words.retain(|word| !base.contains(word));
+    words.join(", ")
+}
+
+/// How far heights are from others of the same columns. Medians and percentiles, as
+/// single points at edges may be anywhere.
+#[derive(Debug, Clone, Serialize)]
+pub struct HeightErrors {
+    /// Sound points that are compared with.
+    pub points: usize,
+    /// Median, µm; positive: nearer to the laser.
+    pub bias_um: f64,
+    /// Half of what holds the middle 68.3 of 100 differences, µm.
+    pub noise_um: f64,
+    /// 99 of 100 are within ± this, µm, lost points being beyond all; `None` if more
+    /// are lost, and without points.
+    pub within_um: Option<f64>,
+    /// Share that is missing here.
+    pub lost: f64,
+    /// Differences, µm, in rising order; infinite where the point is missing.
+    #[serde(skip)]
+    sorted: Vec<f64>,
+}
+
+impl HeightErrors {
+    /// Of `found` against the sound lines of `truth`, frame by frame.
+    pub fn of(
+        frames: &[(Vec<Peak>, Vec<Peak>)],
+        calibration: &Calibration,
+        sign: f64,
+    ) -> HeightErrors {
+        let mut sorted = Vec::new();
+        for (found, truth) in frames {
+            let mut found = found.iter().peekable();
+            for peak in truth {
+                while found.next_if(|p| p.column < peak.column).is_some() {}
+                if !peak.flags.is_sound() {
+                    continue;
+                }
+                let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
+                let Some(jacobian) = calibration.point_jacobian(place) else {
+                    continue;
+                };
+                let um_per_px = jacobian.by_pixel[1].length() * 1e3 * sign;
+                let other = found.peek().filter(|p| p.column == peak.column);
+                sorted.push(other.map_or(f64::INFINITY, |p| (p.row - peak.row) * um_per_px));
+            }
+        }
+        sorted.sort_by(f64::total_cmp);
+        let missing = sorted.iter().filter(|d| d.is_infinite()).count();
+        let there = &sorted[..sorted.len() - missing];
+        let at = |of: &[f64], share: f64| match of {
+            [] => 0.0,
+            _ => of[((of.len() - 1) as f64 * share).round() as usize],
+        };
+        let mut sizes: Vec<f64> = sorted.iter().map(|d| d.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        HeightErrors {
+            points: sorted.len(),
+            bias_um: at(there, 0.5),
+            noise_um: (at(there, 0.8413) - at(there, 0.1587)) / 2.0,
+            within_um: Some(at(&sizes, 0.99)).filter(|um| um.is_finite() && !sizes.is_empty()),
+            lost: missing as f64 / sorted.len().max(1) as f64,
+            sorted,
+        }
+    }
+
+    /// Share of points beyond ± `um`, those that are lost among them.
+    pub fn share_beyond(&self, um: f64) -> f64 {
+        let beyond = self.sorted.iter().filter(|d| d.abs() > um).count();
+        beyond as f64 / self.sorted.len().max(1) as f64
+    }
+}
+
+/// Whether a plan does what it promised.
+#[derive(Debug, Clone, Serialize)]
+pub struct Kept {
+    pub plan: Plan,
+    /// Against the full model, over the frames taken.
+    pub error: HeightErrors,
+    /// Share of points off by more than was planned for.
+    pub beyond: f64,
+    /// Times of the full model and of the plan, ms for all frames.
+    pub ms: [f64; 2],
+}
+
+/// Holds the plan of a scene with a tolerance against the full model, in `frames`.
+pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
+    let mut tiers = Tiers::none(scene, hierarchy(scene, &|_| Ok(()))?);
+    let plan = scene_plan_with(scene, &tiers.accel)?;
+    let most = full(&super::plan(scene), &plan);
+    tiers.add("full model", most, Coverage::Exhaustive)?;
+    tiers.add("plan", plan.clone(), Coverage::Footprint)?;
+    let [full, planned] = [0, 1].map(|i| {
+        let start = Instant::now();
+        let peaks = frames.iter().map(|&f| tiers.list[i].frame(f).peaks);
+        let peaks: Vec<Vec<Peak>> = peaks.collect();
+        (peaks, start.elapsed().as_secs_f64() * 1e3)
+    });
+    let pairs: Vec<_> = planned.0.into_iter().zip(full.0).collect();
+    let calibration = &tiers.list[0].simulation.calibration;
+    let error = HeightErrors::of(&pairs, calibration, 1.0);
+    let planned_um = plan.accuracy.as_ref().map_or(0.0, |a| a.planned_um);
+    Ok(Kept {
+        plan,
+        beyond: error.share_beyond(planned_um),
+        error,
+        ms: [full.1, planned.1],
+    })
+}

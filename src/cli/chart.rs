@@ -1,0 +1,73 @@
+use super::{Output, STOP, SceneArguments, show};
+use crate::batch::{self, Chart, ChartEffort, Control};
+use crate::error::Result;
+use crate::inspect::chart::short;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneArguments,
+    /// Frames to take, spread over the scan
+    #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..1000))]
+    frames: u32,
+    /// Times each frame is timed in each way, in turn
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..1000))]
+    rounds: u32,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let scene = arguments.scene.load(output)?;
+    let effort = ChartEffort {
+        frames: arguments.frames,
+        rounds: arguments.rounds,
+    };
+    let building = output.share("of the hierarchy built");
+    let bar = output.progress(batch::chart_steps(&scene, effort), "frames");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        building: Some(&|share| show(&building, share)),
+        stop: &STOP,
+    };
+    let chart = batch::chart(&scene, effort, &arguments.output, &control);
+    bar.finish_and_clear();
+    let chart = chart?;
+    output.result(&chart, &text(&chart))
+}
+
+fn text(chart: &Chart) -> String {
+    let mut text = format!(
+        "{}\n\n{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  way\n",
+        chart.headline(),
+        "ms",
+        "speed-up",
+        "99 %, µm",
+        "bias, µm",
+        "noise, µm",
+        "lost, %"
+    );
+    for row in &chart.rows {
+        let mark = match (row.chosen, row.on_front) {
+            (true, _) => "* ",
+            (_, true) => "+ ",
+            _ => "  ",
+        };
+        let _ = writeln!(
+            text,
+            "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {mark}{}",
+            short(row.ms[1]),
+            short(row.speed_up),
+            row.error.within_um.map_or("-".into(), short),
+            short(row.error.bias_um),
+            short(row.error.noise_um),
+            short(100.0 * row.error.lost),
+            row.name
+        );
+    }
+    let (picture, json) = (chart.picture.display(), chart.json.display());
+    text + &format!("(* chosen, + on the front)\n{picture}\n{json}\n")
+}

@@ -1,0 +1,158 @@
+//! Tolerances and methods that a scene names, from outside; and the chart.
+
+mod program;
+
+use program::{PLANE, folder_with, run, scene};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+
+/// What a run prints with --json.
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    let (code, stdout, stderr) = run(folder, arguments);
+    assert_eq!(code, 0, "{stderr}");
+    serde_json::from_str(&stdout).unwrap()
+}
+
+/// The scene of `program` without files of frames and with these tables.
+fn with(tables: &str) -> String {
+    let text = scene(PLANE).replace("write_frames = true\n", "");
+    text + tables
+}
+
+fn plan(tables: &str) -> Value {
+    let folder = folder_with(&with(tables));
+    json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take()
+}
+
+#[test]
+fn methods_named_in_the_scene_are_used() {
+    let plain = plan("");
+    assert!(plain["samples_per_side"] == 1 && plain["noise"] == true);
+    assert!(plain["accuracy"].is_null() && plain["geometry_only"] == false);
+    let named = plan(
+        "[plan]\nsamples_per_side = 5\nsampling = \"rays\"\nnoise = false\ncutoff_radii = 1.75\n",
+    );
+    assert_eq!(named["samples_per_side"], 5);
+    assert_eq!(named["sampling"], "rays");
+    assert_eq!(named["noise"], false);
+    assert_eq!(named["cutoff_radii"], 1.75);
+    let told = |effect: &str| {
+        let effects = named["effects"].as_array().unwrap();
+        let found = effects.iter().find(|e| e["effect"] == effect).unwrap();
+        assert_eq!(found["why"], "named in [plan]");
+        found["method"].as_str().unwrap().to_owned()
+    };
+    assert!(told("pixel integration").contains("5 × 5 rays a pixel"));
+    assert!(told("sensor noise").contains("rounded"));
+    let speckled = |tables: &str| {
+        let text = with(tables).replace("speckle = false", "speckle = true");
+        let folder = folder_with(&text);
+        json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take()
+    };
+    let before = speckled("")["speckle_slips"].as_bool().unwrap();
+    let otherwise = speckled(&format!("[plan]\nspeckle_slips = {}\n", !before));
+    assert_eq!(otherwise["speckle_slips"], !before);
+    // They hold beside a tolerance too, that alone would do with less.
+    let both = plan(
+        "[accuracy]\nheight_um = 1000\n[plan]\nsamples_per_side = 5\nnoise = true\ngeometry_only = false\n",
+    );
+    assert_eq!(both["samples_per_side"], 5);
+    assert!(both["noise"] == true && both["geometry_only"] == false);
+    assert_eq!(both["accuracy"]["tolerance_um"], 1000.0);
+}
+
+/// A millimetre's tolerance needs no image of a plane: a run without speckle and noise
+/// finds its points on it. Where speckle leaves no point that sure, the plan says so with
+/// the number, models it, and so do summary and manifest.
+#[test]
+fn a_tolerance_decides_what_is_modelled() {
+    let folder = folder_with(&with("[accuracy]\nheight_um = 1000\n"));
+    let summary = json(
+        folder.path(),
+        &["scan", "scene.toml", "-o", "out", "--json"],
+    );
+    assert_eq!(summary["accuracy"]["sufficient"], true);
+    let manifest = fs::read(folder.path().join("out/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    assert_eq!(manifest["plan"]["geometry_only"], true);
+    assert!(summary["deviation"]["std_um"].as_f64().unwrap() < 1e-3);
+    let report = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+    assert!(report.contains("within") && report.contains("moves height by"));
+
+    let speckled =
+        with("[accuracy]\nheight_um = 0.01\n").replace("speckle = false", "speckle = true");
+    let folder = folder_with(&speckled);
+    let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
+    let limit = plan["accuracy"]["speckle_limit_um"].as_f64().unwrap();
+    assert!(limit > 1.0 && plan["speckle"] == "field", "{plan}");
+    let (_, text, _) = run(folder.path(), &["check", "scene.toml"]);
+    assert!(
+        text.contains(&format!("moves 1 of 100 by more than {limit:.2} µm")),
+        "{text}"
+    );
+}
+
+/// Beside the part nothing says what may be left out.
+#[test]
+fn a_plan_that_sees_no_line_leaves_nothing_out() {
+    let away = with("[accuracy]\nheight_um = 1000\n").replace("[0, -0.5, 0]", "[0, 50, 0]");
+    let folder = folder_with(&away);
+    let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
+    assert!(
+        plan["geometry_only"] == false && plan["noise"] == true,
+        "{plan}"
+    );
+    assert_eq!(plan["accuracy"]["sufficient"], false);
+}
+
+/// The full model errs by nothing against itself; what is on the front no other beats;
+/// one plan is chosen; and no fragment of a file is left.
+#[test]
+fn a_chart_compares_all_ways_with_the_full_model() {
+    let folder = folder_with(&with("[accuracy]\nheight_um = 30\n"));
+    let arguments = [
+        "chart",
+        "scene.toml",
+        "-o",
+        "out",
+        "--frames",
+        "1",
+        "--rounds",
+        "1",
+        "--json",
+    ];
+    let chart = json(folder.path(), &arguments);
+    let rows = chart["rows"].as_array().unwrap();
+    assert!(rows.len() > 8, "{}", rows.len());
+    assert_eq!(rows[0]["error"]["within_um"], 0.0);
+    // It looks at every pixel.
+    let side = rows[0]["plan"]["samples_per_side"].as_f64().unwrap();
+    assert_eq!(rows[0]["samples"], 64.0 * 48.0 * side * side);
+    let images = rows.iter().filter(|r| r["plan"]["geometry_only"] == false);
+    for row in images {
+        assert!(
+            row["ms_per_million_samples"].as_f64().unwrap() > 0.0,
+            "{row}"
+        );
+        assert!(
+            row["contrast"].as_f64().unwrap() < 0.5 && row["memory_mb"].as_f64().unwrap() > 0.0
+        );
+    }
+    assert_eq!(rows.iter().filter(|row| row["chosen"] == true).count(), 1);
+    let place = |row: &Value| Some((row["ms"][1].as_f64()?, row["error"]["within_um"].as_f64()?));
+    for row in rows.iter().filter(|row| row["on_front"] == true) {
+        let (ms, um) = place(row).unwrap();
+        let others = rows.iter().filter(|other| other["other_grains"] == false);
+        let better = others.filter_map(place).find(|o| o.0 < ms && o.1 < um);
+        assert!(better.is_none(), "{row} {better:?}");
+    }
+    let mut names: Vec<String> = fs::read_dir(folder.path().join("out"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["chart.json", "chart.svg"]);
+    let svg = fs::read_to_string(folder.path().join("out/chart.svg")).unwrap();
+    assert!(svg.contains("tolerance 30.0 µm") && !svg.contains("NaN") && !svg.contains("inf"));
+}
