@@ -81,6 +81,19 @@ fn four_readings_are_those_of_each() {
     }
 }
 
+/// A row of the sensor comes near itself, by a tenth of the period or less, only after
+/// five periods; so does a column, the lattice being square.
+#[test]
+fn rows_meet_themselves_late() {
+    let aside = |periods: i32| {
+        let across = periods as f64 * TURN.y / TURN.x;
+        (across - across.round()).abs()
+    };
+    assert!((TURN.length() - 1.0).abs() < 1e-15);
+    assert!((1..5).all(|periods| aside(periods) > 0.1));
+    assert!((aside(5) - 0.09).abs() < 0.001, "{}", aside(5));
+}
+
 /// Field correlation of two frames at no displacement, read at sixteen places within
 /// each texel of the period, over which it has no sampling error (Parseval).
 fn gamma(fields: &FrameFields, places: [PupilPlace; 2]) -> f64 {
