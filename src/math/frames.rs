@@ -48,6 +48,8 @@ impl Rigid {
             return None;
         }
         let x = across.normalize();
+        // Of a hint almost along z little is left, and its rounding is along z.
+        let x = (x - z * x.dot(z)).normalize();
         Some(Rigid {
             rotation: DMat3::from_cols(x, z.cross(x), z),
             translation: origin,
@@ -103,5 +105,16 @@ mod tests {
         assert!(((a * b).point(p) - a.point(b.point(p))).length() < 1e-14);
         assert!((a.inverse().point(a.point(p)) - p).length() < 1e-14);
         assert!((b.rotation.determinant() - 1.0).abs() < 1e-14);
+    }
+
+    /// Of a hint 2e-6 rad from z the rounding is 1e-10 of what lies across.
+    #[test]
+    fn a_hint_almost_along_z_gives_a_rotation_all_the_same() {
+        let z = DVec3::new(0.3, -0.7, 0.64).normalize();
+        for aside in [DVec3::X, DVec3::Y, DVec3::new(-0.2, 0.5, 0.9)] {
+            let pose = Rigid::from_z_and_x(DVec3::ZERO, z, z + 2e-6 * z.cross(aside)).unwrap();
+            let turn = pose.rotation * pose.rotation.transpose();
+            assert!(turn.abs_diff_eq(DMat3::IDENTITY, 1e-15), "{turn}");
+        }
     }
 }
