@@ -158,10 +158,18 @@ fn runs(tiers: &[Tier], frames: &[u32], rounds: u32, control: &Control) -> Resul
     Ok(runs)
 }
 
+/// The value that so many of the others lie below; 0 of none.
+pub(super) fn at_share(sorted: &[f64], share: f64) -> f64 {
+    match sorted {
+        [] => 0.0,
+        _ => sorted[((sorted.len() - 1) as f64 * share).round() as usize],
+    }
+}
+
 fn quartiles(values: &[f64]) -> [f64; 3] {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    [0.25, 0.5, 0.75].map(|share| sorted[((sorted.len() - 1) as f64 * share).round() as usize])
+    [0.25, 0.5, 0.75].map(|share| at_share(&sorted, share))
 }
 
 /// How far apart columns are compared: more than a grain, and little surface.

@@ -3,10 +3,9 @@
 
 use super::Simulation;
 use super::measure::error_model;
-use super::planner::geometry_only;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;
-use crate::integrator::accuracy::{Grain, Pilot, PilotPoint};
+use crate::integrator::accuracy::{Grain, Pilot, PilotPoint, geometry_only};
 use crate::integrator::{Plan, Sampling};
 use crate::math::DVec2;
 use crate::profile::{ErrorModel, Peak, WEAK_SNR};

@@ -6,7 +6,7 @@ use super::simulation::{hierarchy, plan};
 use super::tiers::in_words;
 use crate::accel::Accel;
 use crate::error::Result;
-use crate::integrator::accuracy::{Pilot, candidates};
+use crate::integrator::accuracy::{Pilot, candidates, geometry_only};
 use crate::integrator::height_error::{HeightError, quantile};
 use crate::integrator::plan::Effect;
 use crate::integrator::{Plan, Sampling};
@@ -35,15 +35,6 @@ pub(super) fn full(base: &Plan, plan: &Plan) -> Plan {
         samples_per_side: (2 * most).max(8),
         cutoff_radii: CUTOFF_RADII,
         ..base.clone()
-    }
-}
-
-pub(super) fn geometry_only(base: Plan) -> Plan {
-    Plan {
-        geometry_only: true,
-        speckle: None,
-        noise: false,
-        ..base
     }
 }
 

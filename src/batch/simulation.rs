@@ -7,6 +7,7 @@ use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
 use crate::accel::{Accel, Clusters};
 use crate::camera::{DARK_GROUP, DarkCounts, Sensor};
 use crate::error::Result;
+use crate::integrator::accuracy::geometry_only;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
 use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
 use crate::math::rng::{Key, Purpose};
@@ -84,7 +85,7 @@ impl<'s> Simulation<'s> {
     }
 
     pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
-        let plan = planner::geometry_only(plan(scene));
+        let plan = geometry_only(plan(scene));
         Simulation::with_plan(scene, Arc::new(accel), plan)
     }
 

@@ -1,11 +1,13 @@
 //! Ways of doing a scene's frames, side by side: what each finds and how far that is
 //! from what another found.
 
-use super::planner::{full, geometry_only, scene_plan_with};
+use super::chart::at_share;
+use super::planner::{full, scene_plan_with};
 use super::simulation::hierarchy;
 use super::{Coverage, Simulation};
 use crate::accel::{Accel, Backend, Clusters};
 use crate::error::Result;
+use crate::integrator::accuracy::geometry_only;
 use crate::integrator::{Plan, Sampling};
 use crate::math::DVec2;
 use crate::profile::{Calibration, Peak, PeakFinder, PeakSettings, find_peaks};
@@ -336,17 +338,14 @@ impl HeightErrors {
         sorted.sort_by(f64::total_cmp);
         let missing = sorted.iter().filter(|d| d.is_infinite()).count();
         let there = &sorted[..sorted.len() - missing];
-        let at = |of: &[f64], share: f64| match of {
-            [] => 0.0,
-            _ => of[((of.len() - 1) as f64 * share).round() as usize],
-        };
         let mut sizes: Vec<f64> = sorted.iter().map(|d| d.abs()).collect();
         sizes.sort_by(f64::total_cmp);
         HeightErrors {
             points: sorted.len(),
-            bias_um: at(there, 0.5),
-            noise_um: (at(there, 0.8413) - at(there, 0.1587)) / 2.0,
-            within_um: Some(at(&sizes, 0.99)).filter(|um| um.is_finite() && !sizes.is_empty()),
+            bias_um: at_share(there, 0.5),
+            noise_um: (at_share(there, 0.8413) - at_share(there, 0.1587)) / 2.0,
+            within_um: Some(at_share(&sizes, 0.99))
+                .filter(|um| um.is_finite() && !sizes.is_empty()),
             lost: missing as f64 / sorted.len().max(1) as f64,
             sorted,
         }

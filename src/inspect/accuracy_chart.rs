@@ -2,6 +2,7 @@
 //! a table of what they are.
 
 use super::chart::short;
+use super::report::escape;
 use std::fmt::Write;
 
 /// One way of doing the frames.
@@ -388,10 +389,4 @@ fn plain(value: f64) -> String {
         true => format!("{value:.0}"),
         false => format!("{}", (value * 1e9).round() / 1e9),
     }
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }

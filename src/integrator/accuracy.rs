@@ -252,16 +252,18 @@ impl Pilot {
         let scatter = quantile(&self.speckle()).filter(|&limit| limit > tolerance_um);
         let planned_um = scatter.map_or(tolerance_um, |s| tolerance_um.max(SHARE_OF_LIMIT * s));
         let share = |plan: &Plan| share_beyond(&self.errors(plan), planned_um);
-        let cost = |plan: &Plan| self.cost_ms(plan);
-        let by_cost = |a: &&Plan, b: &&Plan| cost(a).total_cmp(&cost(b));
-        let enough = candidates.iter().filter(|p| share(p) <= PLANNED_SHARE);
-        let cheapest = enough.min_by(by_cost);
+        let cost = |plan| (self.cost_ms(&plan), plan);
+        let mut by_cost: Vec<(f64, Plan)> = candidates.into_iter().map(cost).collect();
+        by_cost.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut plans = by_cost.iter().map(|(_, plan)| plan);
+        let cheapest = plans.find(|plan| share(plan) <= PLANNED_SHARE);
         let insufficient = cheapest.is_none();
         let within = |plan: &Plan| quantile(&self.errors(plan)).unwrap_or(f64::INFINITY);
         let finest = || {
-            let ranked = candidates.iter().map(|p| (within(p), cost(p), p));
-            let finest = ranked.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-            finest.expect("there are candidates").2
+            // Of equally good ones the first, which is the cheapest.
+            let ranked = by_cost.iter().map(|(_, plan)| (within(plan), plan));
+            let finest = ranked.min_by(|a, b| a.0.total_cmp(&b.0));
+            finest.expect("there are candidates").1
         };
         let plan = cheapest.unwrap_or_else(finest).clone();
         let errors = self.errors(&plan);
@@ -284,16 +286,21 @@ impl Pilot {
     }
 }
 
+/// A plan without images, and what only images show.
+pub fn geometry_only(base: Plan) -> Plan {
+    Plan {
+        geometry_only: true,
+        speckle: None,
+        noise: false,
+        ..base
+    }
+}
+
 /// Every plan that is `base` done otherwise: cheaper, or more finely.
 pub fn candidates(base: &Plan, geometry: bool) -> Vec<Plan> {
     let mut plans = Vec::new();
     if geometry {
-        plans.push(Plan {
-            geometry_only: true,
-            speckle: None,
-            noise: false,
-            ..base.clone()
-        });
+        plans.push(geometry_only(base.clone()));
     }
     let speckles = [None, base.speckle];
     let noises = [false, base.noise];

@@ -92,9 +92,8 @@ fn light_that_is_cut_off_moves_a_line_by_less_than_predicted() {
 }
 
 fn plan() -> Plan {
-    use crate::camera::{Camera, Lens, Sensor};
     use crate::laser::{Beam, Laser};
-    use crate::math::{Aabb, DVec2, DVec3, Rigid};
+    use crate::math::{Aabb, DVec3, Rigid};
     let laser = Laser {
         beam: Beam {
             wavelength: 660e-6,
@@ -105,27 +104,10 @@ fn plan() -> Plan {
         },
         fan: None,
     };
-    let camera = Camera {
-        lens: Lens {
-            focal_length: 25.0,
-            f_number: 8.0,
-            focus_distance: 100.0,
-            aperture: crate::camera::Aperture::Circle,
-            distortion: None,
-        },
-        sensor: Sensor {
-            resolution: glam::UVec2::new(64, 64),
-            pixel_pitch: 0.01,
-            exposure_ms: 1.0,
-            quantum_efficiency: 0.5,
-            gain_dn_per_e: 0.1,
-            bit_depth: 12,
-            full_well_e: 20_000.0,
-            black_level_dn: 0.0,
-            noise: None,
-        },
-        tilt: DVec2::ZERO,
-    };
+    let mut camera = crate::camera::fixture();
+    camera.lens.focus_distance = 100.0;
+    camera.sensor.resolution = glam::UVec2::new(64, 64);
+    camera.sensor.pixel_pitch = 0.01;
     let part = Aabb {
         min: DVec3::new(-1.0, -1.0, 99.0),
         max: DVec3::new(1.0, 1.0, 101.0),
