@@ -5,11 +5,12 @@
 
 use super::footprint::footprint;
 use super::irradiance::Irradiance;
-use super::lit::{Center, LitRays};
-use super::pixels::Pixels;
+use super::lit::{Center, Light, LitRays};
+use super::pixels::{Pixels, SIDE};
 use super::samples::Grid;
 use super::sight::Sight;
 use super::speckle::{Reader, Speckle};
+use super::window::Window;
 use crate::accel::{Accel, Clusters, WIDTH};
 use crate::camera::Camera;
 use crate::laser::Laser;
@@ -66,9 +67,9 @@ pub fn footprint_image(view: &View, clusters: &Clusters) -> Irradiance {
     trace(view, &sight, footprint(view, &sight, clusters))
 }
 
-/// Rows of a task: enough that two more at its ends cost little, and few enough
+/// Bands of a task: enough that two more at its ends cost little, and few enough
 /// that there are some to share out.
-const ROWS_PER_TASK: usize = 32;
+const BANDS_PER_TASK: usize = 32;
 
 /// The light that these pixels see.
 fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
@@ -80,10 +81,9 @@ fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
             .speckle
             .map(|speckle| Reader::new(&speckle, view.camera)),
     };
-    let tasks = (0..pixels.rows).into_par_iter().step_by(ROWS_PER_TASK);
-    let window = || std::array::from_fn(|_| vec![Center::Nothing; pixels.columns]);
+    let tasks = (0..pixels.bands()).into_par_iter().step_by(BANDS_PER_TASK);
     let values: Vec<Vec<f32>> = tasks
-        .map_init(window, |window, first| frame.render(first, window))
+        .map_init(Window::default, |window, first| frame.render(first, window))
         .collect();
     Irradiance::new(pixels, values.concat())
 }
@@ -96,16 +96,11 @@ struct Frame<'a> {
     speckle: Option<Reader<'a>>,
 }
 
-/// Rows of centres at hand: those of a pixel and of its neighbours.
-const WINDOW: usize = 3;
-
-/// What the centres of some rows see; of row r at r modulo [`WINDOW`].
-type Window = [Vec<Center>; WINDOW];
-
 impl Frame<'_> {
-    /// Irradiance (mW/mm²) of the pixels of the rows from `first` on.
+    /// Irradiance (mW/mm²) of the pixels of the bands from `first` on, row by row.
     fn render(&self, first: usize, window: &mut Window) -> Vec<f32> {
-        let rows = first..(first + ROWS_PER_TASK).min(self.pixels.rows);
+        let bands = first..(first + BANDS_PER_TASK).min(self.pixels.bands());
+        let rows = SIDE * bands.start..(SIDE * bands.end).min(self.pixels.rows);
         let mut values = Vec::with_capacity(rows.clone().map(|row| self.pixels.count(row)).sum());
         if values.capacity() == 0 {
             return values;
@@ -120,51 +115,60 @@ impl Frame<'_> {
                 return values;
             }
         };
-        let trace = |row: usize, window: &mut Window| {
-            for first in self.pixels.blocks(row, around) {
-                self.lit
-                    .centers(row, first, &mut window[row % WINDOW][first..]);
-            }
-        };
         let mut next = first.saturating_sub(around);
-        for row in rows {
-            while next <= row + around && next < self.pixels.rows {
-                trace(next, window);
+        let mut light = vec![0.0; SIDE * self.pixels.columns];
+        for band in bands {
+            while next <= band + around && next < self.pixels.bands() {
+                let tiles = self.pixels.tiles(next, around);
+                window.fill(
+                    next,
+                    tiles.map(|first| (first, self.lit.centers(next, first))),
+                );
                 next += 1;
             }
-            let columns = self.pixels.of(row);
-            values.extend(columns.map(|column| self.pixel(column, row, around, window) as f32));
+            for column in self.pixels.tiles(band, 0) {
+                self.tile(band, column, around, window, &mut light);
+            }
+            let rows = SIDE * band..(SIDE * (band + 1)).min(self.pixels.rows);
+            for (row, light) in rows.zip(light.chunks_exact(self.pixels.columns)) {
+                values.extend(self.pixels.of(row).map(|column| light[column]));
+            }
         }
         values
     }
 
-    /// Mean irradiance of a pixel.
-    fn pixel(&self, column: usize, row: usize, around: usize, window: &Window) -> f64 {
-        let here = &window[row % WINDOW][column];
-        if around > 0 {
-            let columns = column.saturating_sub(1)..=(column + 1).min(self.pixels.columns - 1);
-            let mut rows = row.saturating_sub(1)..=(row + 1).min(self.pixels.rows - 1);
-            let like = |row: usize| {
-                let row = &window[row % WINDOW][columns.clone()];
-                row.iter().all(|center| here.is_like(center))
+    /// Mean irradiance of a tile's pixels, into rows of the sensor's width.
+    fn tile(&self, band: usize, first: usize, around: usize, window: &Window, light: &mut [f32]) {
+        let columns = self.pixels.columns;
+        let rows = SIDE.min(self.pixels.rows - SIDE * band);
+        let wanted = (0..rows).fold(0, |bits, row| {
+            bits | self.pixels.in_tile(SIDE * band + row, first) << (SIDE * row)
+        }) as u16;
+        let size = [columns, self.pixels.rows];
+        let alike = match around {
+            0 => wanted,
+            _ => wanted & window.alike(band, first, size, wanted),
+        };
+        let centers = window.tile(band, first);
+        for pixel in (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1) {
+            let (column, row) = (first + pixel % SIDE, pixel / SIDE);
+            let value = match &centers[pixel] {
+                _ if alike >> pixel & 1 == 0 => self.sampled(column, SIDE * band + row),
+                Center::Lit(light, plane) => {
+                    let place = DVec2::new(column as f64, (SIDE * band + row) as f64) + 0.5;
+                    let speckle = self.speckle.as_ref();
+                    light.irradiance * self.grid.mean(place, light, plane, &self.lit, speckle)
+                }
+                _ => 0.0,
             };
-            if !rows.all(like) {
-                return self.sampled(column, row);
-            }
-        }
-        match here {
-            Center::Lit(light, plane) => {
-                let centre = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
-                let speckle = self.speckle.as_ref();
-                light.irradiance * self.grid.mean(centre, light, plane, &self.lit, speckle)
-            }
-            _ => 0.0,
+            light[row * columns + column] = value as f32;
         }
     }
 
     /// Mean irradiance of a pixel by a ray for each sample.
     fn sampled(&self, column: usize, row: usize) -> f64 {
         let sight = self.lit.sight;
+        let centre = DVec2::new(column as f64, row as f64) + 0.5;
         let mut bend = DVec2::ZERO;
         let mut sum = 0.0;
         let mut samples = self.grid.places(column, row);
@@ -184,14 +188,46 @@ impl Frame<'_> {
             let mut centers = [const { Center::Nothing }; WIDTH];
             let places = &places[..count];
             self.lit.look(places, &directions[..count], &mut centers);
-            for (&place, center) in places.iter().zip(&centers) {
-                if let Center::Lit(light, _) = center {
-                    let reader = self.speckle.as_ref();
-                    let speckle = reader.map_or(1.0, |reader| reader.intensity(place, light.depth));
-                    sum += light.irradiance * light.share * speckle;
-                }
-            }
+            let seen = places.iter().zip(&centers);
+            let lit = seen.filter_map(|(&place, center)| match center {
+                Center::Lit(light, _) => Some((place - centre, light)),
+                _ => None,
+            });
+            sum += self.with_speckle(centre, lit);
         }
         sum / self.grid.count() as f64
+    }
+
+    /// Sum of the irradiance from points seen so many columns and rows from a pixel's
+    /// centre.
+    fn with_speckle<'l>(
+        &self,
+        centre: DVec2,
+        mut lit: impl Iterator<Item = (DVec2, &'l Light)>,
+    ) -> f64 {
+        let Some(reader) = &self.speckle else {
+            return lit.map(|(_, light)| light.irradiance * light.share).sum();
+        };
+        let mut sum = 0.0;
+        let reader = reader.pixel(centre);
+        loop {
+            let (mut columns, mut rows) = ([0.0; 4], [0.0; 4]);
+            let (mut depths, mut values) = ([0.0; 4], [0.0; 4]);
+            let mut count = 0;
+            for (off, light) in lit.by_ref().take(4) {
+                (columns[count], rows[count]) = (off.x as f32, off.y as f32);
+                depths[count] = light.depth;
+                values[count] = light.irradiance * light.share;
+                count += 1;
+            }
+            if count == 0 {
+                return sum;
+            }
+            let speckle = reader.four(columns.into(), rows.into(), depths, count);
+            let speckle = speckle.to_array().map(f64::from);
+            sum += (values.iter().zip(speckle).take(count))
+                .map(|(e, i)| e * i)
+                .sum::<f64>();
+        }
     }
 }

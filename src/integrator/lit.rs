@@ -1,9 +1,9 @@
 //! What single rays of the camera see: nothing, surface, lit surface.
 
 use super::View;
+use super::pixels::SIDE;
 use super::sight::Sight;
 use crate::accel::{Hit, Ray, WIDTH};
-use crate::laser::Section;
 use crate::math::{DVec2, DVec3, Rigid};
 
 /// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
@@ -12,7 +12,7 @@ use crate::math::{DVec2, DVec3, Rigid};
 const PLANE_TOLERANCE: f64 = 0.01;
 /// Cosine of the greatest angle between their normals, 3°: across an edge between
 /// facets the light received changes by 5 % where it falls at 45°.
-const NORMAL_TOLERANCE: f64 = 0.9986;
+pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
 /// What a ray sees.
 #[derive(Clone, Copy)]
@@ -31,7 +31,7 @@ pub(super) struct Plane {
     pub point: DVec3,
     pub normal: DVec3,
     /// Greatest distance (mm) from it of neighbours that count as on it.
-    tolerance: f64,
+    pub tolerance: f64,
 }
 
 /// Laser light that a ray sees.
@@ -43,36 +43,8 @@ pub(super) struct Light {
     pub share: f64,
     /// Of what is seen, along the camera's axis, mm.
     pub depth: f64,
-    pub section: Section,
-}
-
-impl Center {
-    fn plane(&self) -> Option<(&Plane, Option<bool>)> {
-        match self {
-            Center::Nothing => None,
-            Center::Dark(plane) => Some((plane, None)),
-            Center::Unlit(plane) => Some((plane, Some(false))),
-            Center::Lit(_, plane) => Some((plane, Some(true))),
-        }
-    }
-
-    /// Whether another ray close by sees the same plane, and where light can reach
-    /// both, both lit or neither.
-    #[inline]
-    pub fn is_like(&self, other: &Center) -> bool {
-        match (self.plane(), other.plane()) {
-            (None, None) => true,
-            (Some((here, lit)), Some((there, other_lit))) => {
-                let beside = here.normal.dot(there.point - here.point).abs();
-                let same_light = lit.is_none() || other_lit.is_none() || lit == other_lit;
-                // Written so that NaN is not alike.
-                same_light
-                    && beside <= here.tolerance
-                    && here.normal.dot(there.normal) >= NORMAL_TOLERANCE
-            }
-            _ => false,
-        }
-    }
+    /// 1/e² radius of the beam there, mm.
+    pub radius: f64,
 }
 
 /// A view's rays.
@@ -109,18 +81,33 @@ impl<'a> LitRays<'a> {
         }
     }
 
-    /// What the centres of a block of pixels see, that starts at column `first`.
-    pub fn centers(&self, row: usize, first: usize, centers: &mut [Center]) {
-        let count = WIDTH.min(centers.len());
+    /// What the centres of a tile's pixels see, row by row.
+    pub fn centers(&self, band: usize, first: usize) -> [Center; WIDTH] {
+        let resolution = self.view.camera.sensor.resolution;
+        let (mut pixels, mut count) = ([0; WIDTH], 0);
         let mut places = [DVec2::ZERO; WIDTH];
         let mut directions = [DVec3::Z; WIDTH];
         let mut bend = DVec2::ZERO;
-        for i in 0..count {
-            places[i] = DVec2::new((first + i) as f64 + 0.5, row as f64 + 0.5);
-            let to_sensor = self.sight.to_sensor(places[i]);
-            directions[i] = self.sight.towards(to_sensor, &mut bend).normalize();
+        for pixel in 0..WIDTH {
+            let (column, row) = (first + pixel % SIDE, SIDE * band + pixel / SIDE);
+            if column < resolution.x as usize && row < resolution.y as usize {
+                let place = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
+                let to_sensor = self.sight.to_sensor(place);
+                directions[count] = self.sight.towards(to_sensor, &mut bend).normalize();
+                (pixels[count], places[count]) = (pixel, place);
+                count += 1;
+            }
         }
-        self.look(&places[..count], &directions[..count], centers);
+        let mut seen = [const { Center::Nothing }; WIDTH];
+        self.look(&places[..count], &directions[..count], &mut seen);
+        if count == WIDTH {
+            return seen;
+        }
+        let mut centers = [const { Center::Nothing }; WIDTH];
+        for (&pixel, center) in pixels[..count].iter().zip(seen) {
+            centers[pixel] = center;
+        }
+        centers
     }
 
     /// What rays in these directions (unit) see, up to 16, that start at the eye
@@ -171,21 +158,24 @@ impl<'a> LitRays<'a> {
     fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Center, Option<Ray>) {
         let laser = self.view.laser;
         let point = self.laser_from_part.point(hit.point);
-        let section = laser.section(point);
-        let radius = section.map_or(laser.beam.waist_radius, |section| section.radius);
+        let radius = laser.radius(point);
         let normal = self.laser_from_part.vector(hit.normal);
+        let tolerance = PLANE_TOLERANCE * radius.unwrap_or(laser.beam.waist_radius);
         let plane = Plane {
             point,
             normal,
-            tolerance: PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs(),
+            tolerance: tolerance * direction.dot(hit.normal).abs(),
         };
-        let Some(section) = section else {
+        let Some(radius) = radius else {
             return (Center::Unlit(plane), None);
         };
         let r2 = laser.off_middle(point).length_squared();
-        if r2 > (self.view.cutoff_radii * section.radius).powi(2) {
+        if r2 > (self.view.cutoff_radii * radius).powi(2) {
             return (Center::Dark(plane), None);
         }
+        let Some(section) = laser.section(point) else {
+            return (Center::Unlit(plane), None);
+        };
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
         let aperture = self.view.part_from_laser.point(section.aperture_point);
@@ -201,7 +191,7 @@ impl<'a> LitRays<'a> {
             irradiance: radiance * self.sight.solid_angle(place),
             share: section.gaussian(r2),
             depth: self.sight.axis.dot(hit.point - self.sight.eye),
-            section,
+            radius,
         };
         (Center::Lit(light, plane), Some(shadow_ray))
     }

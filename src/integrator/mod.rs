@@ -17,6 +17,7 @@ mod samples;
 mod sight;
 mod speckle;
 mod truth;
+mod window;
 
 pub use direct::{Sampling, View, footprint_image, irradiance_image};
 pub use geometric::{LinePoint, Sheet};

@@ -1,13 +1,17 @@
-//! The pixels of a frame that may see light, and the blocks in which the rays
+//! The pixels of a frame that may see light, and the tiles in which the rays
 //! through their centres are traced.
 
 use crate::accel::WIDTH;
 use glam::UVec2;
 
-/// A set of pixels. Rays are traced by blocks of sixteen pixels of a row side by
-/// side. Blocks are the same whatever is traced: Embree settles ties between
-/// triangles by the order it meets them in, which depends on the other rays of the
-/// packet.
+/// Pixels along each side of a tile.
+pub(super) const SIDE: usize = 4;
+const _: () = assert!(SIDE * SIDE == WIDTH && 64 % SIDE == 0);
+
+/// A set of pixels. Rays are traced by tiles of 4 × 4 pixels: sixteen of a row side by
+/// side meet more triangles than these. Tiles are the same whatever is traced: Embree
+/// settles ties between triangles by the order it meets them in, which depends on the
+/// other rays of the packet.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Pixels {
     pub columns: usize,
@@ -67,10 +71,16 @@ impl Pixels {
         })
     }
 
-    /// First columns of the blocks of a row that hold a pixel of the set, or one
+    /// Bands of rows that tiles are as high as; the last may be lower.
+    pub fn bands(&self) -> usize {
+        self.rows.div_ceil(SIDE)
+    }
+
+    /// First columns of the tiles of a band that hold a pixel of the set, or one
     /// within `around` (0 or 1) columns and rows of a pixel of the set.
-    pub fn blocks(&self, row: usize, around: usize) -> impl Iterator<Item = usize> + '_ {
-        let rows = row.saturating_sub(around)..(row + around + 1).min(self.rows);
+    pub fn tiles(&self, band: usize, around: usize) -> impl Iterator<Item = usize> + '_ {
+        let first = SIDE * band;
+        let rows = first.saturating_sub(around)..(first + SIDE + around).min(self.rows);
         let word = move |i: usize| {
             let rows = rows.clone();
             rows.fold(0, |bits, row| bits | self.row(row)[i])
@@ -85,10 +95,16 @@ impl Pixels {
                 };
                 bits |= bits << 1 | bits >> 1 | before >> 63 | after << 63;
             }
-            let blocks = (0..64 / WIDTH).filter(move |k| bits >> (WIDTH * k) & 0xffff != 0);
-            let first = blocks.map(move |k| 64 * i + WIDTH * k);
+            let tiles = (0..64 / SIDE).filter(move |k| bits >> (SIDE * k) & 0xf != 0);
+            let first = tiles.map(move |k| 64 * i + SIDE * k);
             first.filter(|&first| first < self.columns)
         })
+    }
+
+    /// Which of the pixels of a row from `column` to the end of its tile are in the
+    /// set, as bits.
+    pub fn in_tile(&self, row: usize, column: usize) -> u64 {
+        self.row(row)[column / 64] >> (column % 64) & 0xf
     }
 
     /// Number of a row's pixels.
@@ -103,8 +119,8 @@ mod tests {
 
     #[test]
     fn what_is_inserted_is_there_and_nothing_else() {
-        // 2100 columns: 33 words, 132 blocks, the last of four pixels.
-        let resolution = UVec2::new(2100, 3);
+        // 2100 columns: 33 words, 525 tiles; nine rows: three bands, the last of one.
+        let resolution = UVec2::new(2100, 9);
         for (first, last) in [
             (0, 0),
             (15, 16),
@@ -115,26 +131,30 @@ mod tests {
             (2095, 2095),
         ] {
             let mut pixels = Pixels::none(resolution);
-            pixels.insert(2, first, last);
+            pixels.insert(4, first, last);
             assert_eq!(
-                pixels.of(2).collect::<Vec<_>>(),
+                pixels.of(4).collect::<Vec<_>>(),
                 (first..=last).collect::<Vec<_>>()
             );
-            assert_eq!(pixels.count(2), last - first + 1);
+            assert_eq!(pixels.count(4), last - first + 1);
             assert!(pixels.count(0) == 0 && pixels.count(1) == 0);
-            let blocks = |first: usize, last: usize| -> Vec<usize> {
-                (first / 16..=last / 16).map(|b| 16 * b).collect()
+            let tiles = |first: usize, last: usize| -> Vec<usize> {
+                (first / SIDE..=last / SIDE).map(|b| SIDE * b).collect()
             };
-            let found = |row, around| pixels.blocks(row, around).collect::<Vec<_>>();
-            assert_eq!(found(2, 0), blocks(first, last), "{first} {last}");
-            let wider = blocks(first.saturating_sub(1), (last + 1).min(2099));
-            assert_eq!(found(2, 1), wider, "{first} {last}");
+            let found = |band, around| pixels.tiles(band, around).collect::<Vec<_>>();
+            assert_eq!(found(1, 0), tiles(first, last), "{first} {last}");
+            let wider = tiles(first.saturating_sub(1), (last + 1).min(2099));
             assert_eq!(found(1, 1), wider, "{first} {last}");
-            assert!(found(1, 0).is_empty() && found(0, 1).is_empty());
+            assert_eq!(found(0, 1), wider, "{first} {last}");
+            assert!(found(0, 0).is_empty() && found(2, 1).is_empty());
+            let bits =
+                (first..=last.min(first / SIDE * SIDE + 3)).fold(0, |b, c| b | 1 << (c % SIDE));
+            assert_eq!(pixels.in_tile(4, first / SIDE * SIDE), bits);
         }
         let all = Pixels::all(resolution);
-        assert_eq!((all.rows, all.columns, all.count(1)), (3, 2100, 2100));
+        assert_eq!(all.bands(), 3);
+        assert_eq!((all.rows, all.columns, all.count(1)), (9, 2100, 2100));
         let one = Pixels::all(UVec2::ONE);
-        assert_eq!(one.blocks(0, 1).collect::<Vec<_>>(), [0]);
+        assert_eq!(one.tiles(0, 1).collect::<Vec<_>>(), [0]);
     }
 }

@@ -71,11 +71,13 @@ impl Grid {
             return 0.0;
         };
         let shares = self.fours.iter().map(|four| (four, profile.shares(four)));
-        let sum: f32x4 = match speckle.map(|reader| reader.pixel(centre, light.depth)) {
+        let sum: f32x4 = match speckle.map(|reader| reader.pixel(centre)) {
             None => shares.map(|(four, shares)| four.weights * shares).sum(),
             Some(reader) => shares
                 .map(|(four, shares)| {
-                    four.weights * shares * reader.four(four.columns, four.rows, four.count)
+                    four.weights
+                        * shares
+                        * reader.four(four.columns, four.rows, [light.depth; 4], four.count)
                 })
                 .sum(),
         };
@@ -111,7 +113,7 @@ impl Profile {
             return None;
         }
         let ratios = steps.map(|step| plane.normal.dot(step) / along);
-        let scale = SQRT_2 / light.section.radius;
+        let scale = SQRT_2 / light.radius;
         let across = |p: DVec3| {
             let off = rays.view.laser.off_middle(p) * scale;
             [off.x as f32, off.y as f32]

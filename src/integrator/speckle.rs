@@ -154,10 +154,9 @@ impl<'a> Reader<'a> {
         self.map.position(screen, self.displacement)
     }
 
-    /// For reading within the pixel around `centre`, which sees a point `depth` mm
-    /// from the lens along its axis.
+    /// For reading within the pixel around `centre`.
     #[inline(always)]
-    pub fn pixel(&self, centre: DVec2, depth: f64) -> PixelReader<'_> {
+    pub fn pixel(&self, centre: DVec2) -> PixelReader<'_> {
         let at = self.at(centre);
         let steps = match self.even {
             Some((_, steps)) => steps,
@@ -166,7 +165,6 @@ impl<'a> Reader<'a> {
         PixelReader {
             reader: self,
             centre,
-            depth,
             at,
             steps,
         }
@@ -177,7 +175,6 @@ impl<'a> Reader<'a> {
 pub(super) struct PixelReader<'a> {
     reader: &'a Reader<'a>,
     centre: DVec2,
-    depth: f64,
     at: DVec2,
     /// Texels by column and by row.
     steps: [DVec2; 2],
@@ -185,11 +182,12 @@ pub(super) struct PixelReader<'a> {
 
 impl PixelReader<'_> {
     /// Intensities, mean 1, at the first `count` of four places so many columns and rows
-    /// from the pixel's centre; what others give is of no use.
+    /// (up to ½) from the pixel's centre, which see points `depths` mm from the lens along
+    /// its axis; what others give is of no use.
     #[inline(always)]
-    pub fn four(&self, columns: f32x4, rows: f32x4, count: usize) -> f32x4 {
+    pub fn four(&self, columns: f32x4, rows: f32x4, depths: [f64; 4], count: usize) -> f32x4 {
         match &self.reader.source {
-            Source::InFocus(field) => {
+            Source::InFocus(field) if self.is_small(field) => {
                 let [by_column, by_row] = self.steps.map(|step| step.as_vec2());
                 let s = columns * by_column.x + rows * by_row.x;
                 let t = columns * by_column.y + rows * by_row.y;
@@ -198,10 +196,17 @@ impl PixelReader<'_> {
             _ => {
                 let (columns, rows) = (columns.to_array(), rows.to_array());
                 let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
-                let read = |i| self.reader.intensity(self.centre + off(i), self.depth) as f32;
+                let read = |i| self.reader.intensity(self.centre + off(i), depths[i]) as f32;
                 [0, 1, 2, 3].map(read).into()
             }
         }
+    }
+
+    /// Whether the pixel is smaller than the field's period.
+    #[inline(always)]
+    fn is_small(&self, field: &FrameField) -> bool {
+        let [by_column, by_row] = self.steps.map(DVec2::abs);
+        (by_column + by_row).max_element() < field.period()
     }
 }
 

@@ -35,26 +35,31 @@ impl Fan {
         }
     }
 
+    /// Whether light goes towards `p` (laser frame). |φ| ≤ Φ/2 without the arc
+    /// tangent, and mostly without the tangent, which is no less than its angle.
+    fn covers(&self, p: DVec3) -> bool {
+        let (half, x) = (self.angle / 2.0, p.x.abs());
+        // The irradiance goes as 1/ρ; a picometre off, a surface is at the aperture.
+        p.z > 1e-9
+            && (self.profile == FanProfile::Gaussian || x <= p.z * half || x <= p.z * half.tan())
+    }
+
+    /// w at `p`; as [`Self::sheet`].
+    pub(super) fn radius(&self, beam: &Beam, p: DVec3) -> Option<f64> {
+        let rho = (p.x * p.x + p.z * p.z).sqrt();
+        self.covers(p).then(|| beam.radius(rho))
+    }
+
     /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
     /// origin line (the laser frame's y axis) and y that from the sheet.
     pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Section> {
-        // The irradiance goes as 1/ρ; a picometre off, a surface is at the aperture.
-        if p.z <= 1e-9 {
+        if !self.covers(p) {
             return None;
         }
         let per_radian = match self.profile {
-            // |φ| ≤ Φ/2 without the arc tangent, and mostly without the tangent,
-            // which is no less than its angle.
-            FanProfile::Uniform => {
-                let (half, x) = (self.angle / 2.0, p.x.abs());
-                let inside = x <= p.z * half || x <= p.z * half.tan();
-                if inside { 1.0 / self.angle } else { 0.0 }
-            }
+            FanProfile::Uniform => 1.0 / self.angle,
             FanProfile::Gaussian => self.power_per_radian(p.x.atan2(p.z)),
         };
-        if per_radian == 0.0 {
-            return None;
-        }
         let rho = (p.x * p.x + p.z * p.z).sqrt();
         let w = beam.radius(rho);
         let irradiance = beam.power_mw * per_radian / rho * FRAC_2_PI.sqrt() / w;

@@ -1,5 +1,5 @@
-//! Coordinates as integers: wrapping is masking, and neither `floor` nor a
-//! checked cast, calls and branches on baseline x86-64, is in the hot loop.
+//! Coordinates as integers: wrapping is masking or a comparison, and neither `floor`
+//! nor a checked cast, calls and branches on baseline x86-64, is in the hot loop.
 
 use wide::{f32x4, i32x4};
 
@@ -10,9 +10,6 @@ pub struct Fixed(u64);
 
 /// Bits after the point.
 pub const FRACTION_BITS: u32 = 20;
-/// Of four coordinates together.
-const FOURS_BITS: u32 = 19;
-
 impl Fixed {
     #[inline(always)]
     pub fn new(x: f64) -> Fixed {
@@ -42,31 +39,60 @@ impl Fixed {
     }
 }
 
-/// Four coordinates together, in steps of 2⁻¹⁹, modulo 2¹³.
-#[derive(Clone, Copy)]
-pub struct FixedFour(i32x4);
+/// A number of texels after which a pattern repeats, at most 2¹³.
+#[derive(Debug, Clone, Copy)]
+pub struct Period {
+    texels: f64,
+    inverse: f64,
+}
 
-impl FixedFour {
-    /// `around` + `offsets`, which are finite and less than 2¹² in size.
-    #[inline(always)]
-    pub fn new(around: Fixed, offsets: f32x4) -> FixedFour {
-        let around = (around.0 >> (FRACTION_BITS - FOURS_BITS)) as i32;
-        let steps = offsets * (1 << FOURS_BITS) as f32;
-        FixedFour(i32x4::splat(around) + steps.fast_round_int())
+/// Bits after the point of four coordinates together.
+const FOURS_BITS: u32 = 16;
+
+impl Period {
+    pub fn new(texels: usize) -> Period {
+        debug_assert!(texels <= 1 << 13);
+        Period {
+            texels: texels as f64,
+            inverse: 1.0 / texels as f64,
+        }
     }
 
-    /// ⌊x⌋ modulo `mask` + 1, a power of two up to 2¹³.
+    /// `x` − n·period from 0 to the period, which rounding may give; |x| < 2⁵⁰.
     #[inline(always)]
-    pub fn indices(self, mask: usize) -> [usize; 4] {
-        let indices = (self.0 >> FOURS_BITS) & i32x4::splat(mask as i32);
-        indices.to_array().map(|index| index as usize)
+    fn reduced(self, x: f64) -> f64 {
+        // Rounds to whole numbers, as `Fixed::new` does to its steps.
+        const ALIGNER: f64 = 1.5 * (1u64 << 52) as f64;
+        let rest = x - ((x * self.inverse + ALIGNER) - ALIGNER) * self.texels;
+        if rest < 0.0 { rest + self.texels } else { rest }
     }
 
-    /// x − ⌊x⌋.
+    /// ⌊x⌋ modulo the period, and x − ⌊x⌋.
     #[inline(always)]
-    pub fn fractions(self) -> f32x4 {
-        let bits = self.0 & i32x4::splat((1 << FOURS_BITS) - 1);
-        bits.round_float() * (1.0 / (1 << FOURS_BITS) as f32)
+    pub fn place(self, x: f64) -> (usize, f32) {
+        let x = Fixed::new(self.reduced(x));
+        let index = x.index(2 * (1 << 13) - 1);
+        let wrapped = if index == self.texels as usize {
+            0
+        } else {
+            index
+        };
+        (wrapped, x.fraction())
+    }
+
+    /// The same for `around` + each of four `offsets` less than a period in size, to
+    /// 2⁻¹⁶.
+    #[inline(always)]
+    pub fn places(self, around: f64, offsets: f32x4) -> ([usize; 4], f32x4) {
+        const ONE: i32 = 1 << FOURS_BITS;
+        let period = i32x4::splat(self.texels as i32 * ONE);
+        let around = (self.reduced(around) * ONE as f64) as i32;
+        let steps = i32x4::splat(around) + (offsets * ONE as f32).fast_round_int();
+        let steps = steps + (steps.simd_lt(i32x4::ZERO) & period);
+        let steps = steps - (!steps.simd_lt(period) & period);
+        let indices = (steps >> FOURS_BITS).to_array().map(|index| index as usize);
+        let fractions = (steps & i32x4::splat(ONE - 1)).round_float() * (1.0 / ONE as f32);
+        (indices, fractions)
     }
 }
 
@@ -97,18 +123,26 @@ mod tests {
         }
     }
 
+    /// Exact in steps of 2⁻¹⁶, wherever the sum wraps.
     #[test]
-    fn four_are_like_each() {
-        for x in [0.25, 8191.75, -0.5, 1e6 + 0.5] {
-            let offsets = [0.0, 0.75, -3.5, 1000.25];
-            let four = FixedFour::new(Fixed::new(x), f32x4::from(offsets));
-            let each = offsets.map(|offset| Fixed::new(x + offset as f64));
-            assert_eq!(four.indices(8191), each.map(|x| x.index(8191)), "{x}");
-            assert_eq!(
-                four.fractions().to_array(),
-                each.map(Fixed::fraction),
-                "{x}"
-            );
+    fn places_are_floor_and_rest_modulo_the_period() {
+        for size in [96, 384, 8192] {
+            let period = Period::new(size);
+            for x in [0.25, 8191.75, -0.5, 1e6 + 0.5, -384.0, 383.75, 95.5] {
+                let offsets = [0.0, 0.75, -3.5, 95.25];
+                let (indices, fractions) = period.places(x, f32x4::from(offsets));
+                for (i, offset) in offsets.into_iter().enumerate() {
+                    let at = x + offset as f64;
+                    let index = (at.floor() as i64).rem_euclid(size as i64) as usize;
+                    let place = (index, (at - at.floor()) as f32);
+                    assert_eq!(period.place(at), place, "{size} {x} {offset}");
+                    let four = (indices[i], fractions.to_array()[i]);
+                    assert_eq!(four, place, "{size} {x} {offset}");
+                }
+            }
+            // Below zero by less than a step: at zero again, not at the period.
+            assert_eq!(period.place(-1e-30), (0, 0.0));
+            assert_eq!(period.places(-1e-30, f32x4::ZERO).0, [0; 4]);
         }
     }
 }

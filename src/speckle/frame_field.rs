@@ -9,7 +9,7 @@
 //! phase across the pupil does, defocus foremost, is done to the phasors.
 
 use super::coordinate::GrainMap;
-use super::fixed::{Fixed, FixedFour};
+use super::fixed::Period;
 use super::lookup::{Coherence, Layer};
 use super::pattern::{Aperture, Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
@@ -36,10 +36,10 @@ pub struct PupilPlace {
     pub defocus: f64,
 }
 
-/// What a frame's field is made from: 192² grains, 2 MB.
+/// What a frame's field is made from: 144² grains, 1.2 MB.
 pub fn field_spec(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
-        size: 512,
+        size: 384,
         texels_per_speckle: 8.0 / 3.0,
         aperture,
         seed,
@@ -72,7 +72,7 @@ impl FrameFields {
     /// # Errors
     /// As [`PatternSpec::validate`] and for a `coherence` out of range.
     pub fn new(spec: &PatternSpec, coherence: Coherence) -> Result<FrameFields> {
-        spec.validate()?;
+        spec.validate_shape()?;
         coherence.validate()?;
         let plane = PhasorPlane::turned(spec, TURN);
         let reach = plane.reach();
@@ -162,7 +162,7 @@ impl FrameFields {
         );
         last.copy_from_slice(&period[..stride]);
         FrameField {
-            size_mask: size - 1,
+            period: Period::new(size),
             stride,
             texels,
             lost: self.lost,
@@ -176,7 +176,7 @@ impl FrameFields {
 
 /// A field in memory, read by linear interpolation.
 pub struct FrameField {
-    size_mask: usize,
+    period: Period,
     /// Texels per row, and rows: one more than the period, so that the taps to the
     /// right and below never wrap.
     stride: usize,
@@ -190,6 +190,11 @@ pub struct FrameField {
 }
 
 impl FrameField {
+    /// Texels after which it repeats.
+    pub fn period(&self) -> f64 {
+        (self.stride - 1) as f64
+    }
+
     /// Speckle intensity at (s, t) in texels, mean 1.
     #[inline(always)]
     pub fn intensity(&self, at: DVec2) -> f32 {
@@ -204,8 +209,8 @@ impl FrameField {
         sum
     }
 
-    /// The same at the first `count` of four places, `s` and `t` texels (less than 2¹²)
-    /// from `at`; differs by rounding. Zero at the others.
+    /// The same at the first `count` of four places, `s` and `t` texels (less than a
+    /// period) from `at`; differs by rounding. Zero at the others.
     #[inline(always)]
     pub fn around(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
         let mut sum = self.first_weight * self.powers(at, s, t, count);
@@ -217,10 +222,8 @@ impl FrameField {
 
     #[inline(always)]
     fn powers(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
-        let s = FixedFour::new(Fixed::new(at.x), s);
-        let t = FixedFour::new(Fixed::new(at.y), t);
-        let (columns, rows) = (s.indices(self.size_mask), t.indices(self.size_mask));
-        let (fs, ft) = (s.fractions(), t.fractions());
+        let (columns, fs) = self.period.places(at.x, s);
+        let (rows, ft) = self.period.places(at.y, t);
         let down = ft.to_array();
         let sides = |i: usize| {
             if i >= count {
@@ -252,10 +255,8 @@ impl FrameField {
     /// that blending lost.
     #[inline(always)]
     fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
-        let (s, t) = (Fixed::new(at.x), Fixed::new(at.y));
-        let row = t.index(self.size_mask);
-        let column = s.index(self.size_mask);
-        let (fs, ft) = (s.fraction(), t.fraction());
+        let (column, fs) = self.period.place(at.x);
+        let (row, ft) = self.period.place(at.y);
         let gain =
             1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
         let (top, bottom) = self.pairs(row, column);

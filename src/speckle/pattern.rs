@@ -61,7 +61,8 @@ impl Aperture {
 /// What a set of speckle patterns is made from; equal specs give equal bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PatternSpec {
-    /// N, texels along each side; a power of two. The pattern repeats after N.
+    /// N, texels along each side; a power of two but for a frame's field. The pattern
+    /// repeats after N.
     pub size: usize,
     /// N/d, texels per minimal speckle size; at least 2, where the intensity
     /// is sampled at its Nyquist rate.
@@ -93,15 +94,24 @@ impl PatternSpec {
     /// Refuses a spec no pattern can be made from, saying what was found and
     /// what was expected.
     pub fn validate(&self) -> Result<()> {
-        let height = self.pupil_width() * self.aperture.ratio();
-        let ratio = self.aperture.ratio();
-        if !self.size.is_power_of_two() || !(64..=8192).contains(&self.size) {
+        if !self.size.is_power_of_two() {
             let expected = "a power of two from 64 to 8192";
             return refuse("size", self.size.to_string(), expected);
         }
         if !self.slices.is_power_of_two() || !(8..=1024).contains(&self.slices) {
             let expected = "a power of two from 8 to 1024";
             return refuse("slices", self.slices.to_string(), expected);
+        }
+        self.validate_shape()
+    }
+
+    /// The same for a single field, whose size may be any multiple of [`ROWS`].
+    pub(super) fn validate_shape(&self) -> Result<()> {
+        let height = self.pupil_width() * self.aperture.ratio();
+        let ratio = self.aperture.ratio();
+        if !self.size.is_multiple_of(ROWS) || !(64..=8192).contains(&self.size) {
+            let expected = format!("a multiple of {ROWS} from 64 to 8192");
+            return refuse("size", self.size.to_string(), &expected);
         }
         if !(ratio > 0.0 && ratio <= 1.0) {
             return refuse("aperture ratio", ratio.to_string(), "a number in (0, 1]");
@@ -319,8 +329,7 @@ impl PhasorPlane {
                 power += factor.norm_sqr();
                 phasors += 1;
                 if keep(x, y) {
-                    // Wraps, since the size is a power of two.
-                    line[dy as usize & (size - 1)] = self.phasor(x, y) * factor;
+                    line[dy.rem_euclid(size as i64) as usize] = self.phasor(x, y) * factor;
                 }
             }
         }
@@ -343,7 +352,7 @@ impl PhasorPlane {
     ) {
         let size = self.spec.size;
         for (line, dx) in columns.lines.chunks_exact(size).zip(-self.reach()..) {
-            let column = dx as usize & (size - 1);
+            let column = dx.rem_euclid(size as i64) as usize;
             let values = &line[ROWS * block..][..ROWS];
             for (row, value) in rows.iter_mut().zip(values) {
                 row[column] = value * columns.scale;

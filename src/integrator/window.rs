@@ -1,0 +1,196 @@
+//! Bands of tiles at hand, and which pixels see the same surface as all around them.
+
+use super::lit::{Center, NORMAL_TOLERANCE, Plane};
+use super::pixels::SIDE;
+use crate::accel::WIDTH;
+use crate::math::DVec3;
+use wide::f32x4;
+
+/// Bands at hand: that of a pixel and of its neighbours.
+const BANDS: usize = 3;
+
+/// What the centres of the last bands filled in see.
+#[derive(Default)]
+pub(super) struct Window {
+    bands: [Band; BANDS],
+}
+
+#[derive(Default)]
+struct Band {
+    /// For each tile of the band, counted from the left, its place in `tiles`.
+    places: Vec<u32>,
+    tiles: Vec<[Center; WIDTH]>,
+}
+
+const MISSING: u32 = u32::MAX;
+
+impl Band {
+    /// `None` for a tile that was not filled in.
+    fn tile(&self, tile: usize) -> Option<&[Center; WIDTH]> {
+        let place = *self.places.get(tile)?;
+        self.tiles.get(place as usize)
+    }
+}
+
+impl Window {
+    /// Takes in tiles by their first column, from left to right, in the place of the
+    /// band [`BANDS`] before.
+    pub fn fill(&mut self, band: usize, tiles: impl Iterator<Item = (usize, [Center; WIDTH])>) {
+        let Band { places, tiles: all } = &mut self.bands[band % BANDS];
+        places.clear();
+        all.clear();
+        for (first, centers) in tiles {
+            places.resize(first / SIDE, MISSING);
+            places.push(all.len() as u32);
+            all.push(centers);
+        }
+    }
+
+    /// A tile filled in, by its first column.
+    pub fn tile(&self, band: usize, first: usize) -> &[Center; WIDTH] {
+        let tile = self.bands[band % BANDS].tile(first / SIDE);
+        tile.expect("tiles are looked at after they are filled in")
+    }
+
+    /// Which pixels of a tile see one plane with the eight around each, and where light
+    /// can reach two of them, both lit or neither, as bits; of those `wanted`. Past the
+    /// sensor's border (`size`, columns and rows) are no pixels. All tiles around those
+    /// wanted must have been filled in.
+    pub fn alike(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
+        let here = self.tile(band, first);
+        let Some(origin) = here.iter().find_map(|center| Some(center.plane()?.point)) else {
+            // Nothing else is seen here; around it may be.
+            let around = Around::new(self, band, first, size, DVec3::ZERO);
+            return around.all_nothing(wanted);
+        };
+        let around = Around::new(self, band, first, size, origin);
+        around.alike(wanted)
+    }
+}
+
+impl Center {
+    fn plane(&self) -> Option<&Plane> {
+        match self {
+            Center::Nothing => None,
+            Center::Dark(plane) | Center::Unlit(plane) | Center::Lit(_, plane) => Some(plane),
+        }
+    }
+}
+
+/// Cells of a row of [`Around`], of which six are used.
+const STRIDE: usize = 8;
+const CELLS: usize = STRIDE * (SIDE + 2);
+/// A cell with the eight around it, as bits from the first of them on.
+const NINE: u64 = 0x07 << (2 * STRIDE) | 0x07 << STRIDE | 0x07;
+
+/// A tile and the pixels around it: planes relative to a point of the tile, in f32.
+struct Around {
+    /// Which cells see nothing, lit and unlit surface, as bits.
+    nothing: u64,
+    lit: u64,
+    unlit: u64,
+    points: [[f32; CELLS]; 3],
+    normals: [[f32; CELLS]; 3],
+    tolerances: [f32; CELLS],
+}
+
+impl Around {
+    fn new(
+        window: &Window,
+        band: usize,
+        first: usize,
+        [columns, rows]: [usize; 2],
+        origin: DVec3,
+    ) -> Around {
+        let mut around = Around {
+            nothing: 0,
+            lit: 0,
+            unlit: 0,
+            points: [[0.0; CELLS]; 3],
+            normals: [[0.0; CELLS]; 3],
+            tolerances: [0.0; CELLS],
+        };
+        for i in 0..SIDE + 2 {
+            // Past the border a pixel stands for itself.
+            let row = (SIDE * band + i).saturating_sub(1).min(rows - 1);
+            let tiles = &window.bands[row / SIDE % BANDS];
+            for j in 0..SIDE + 2 {
+                let column = (first + j).saturating_sub(1).min(columns - 1);
+                let center = tiles
+                    .tile(column / SIDE)
+                    .map_or(&Center::Nothing, |t| &t[row % SIDE * SIDE + column % SIDE]);
+                around.set(STRIDE * i + j, center, origin);
+            }
+        }
+        around
+    }
+
+    #[inline(always)]
+    fn set(&mut self, cell: usize, center: &Center, origin: DVec3) {
+        let bits = match center {
+            Center::Nothing => &mut self.nothing,
+            Center::Dark(_) => &mut 0,
+            Center::Unlit(_) => &mut self.unlit,
+            Center::Lit(..) => &mut self.lit,
+        };
+        *bits |= 1 << cell;
+        if let Some(plane) = center.plane() {
+            let point = (plane.point - origin).as_vec3();
+            let normal = plane.normal.as_vec3();
+            for axis in 0..3 {
+                self.points[axis][cell] = point[axis];
+                self.normals[axis][cell] = normal[axis];
+            }
+            self.tolerances[cell] = plane.tolerance as f32;
+        }
+    }
+
+    /// Those pixels of the tile for which `is(first of the nine cells)` holds.
+    fn pixels(wanted: u16, is: impl Fn(usize) -> bool) -> u16 {
+        let wanted = (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1);
+        let pixels = wanted.filter(|pixel| is(STRIDE * (pixel / SIDE) + pixel % SIDE));
+        pixels.fold(0, |bits, pixel| bits | 1 << pixel)
+    }
+
+    fn all_nothing(&self, wanted: u16) -> u16 {
+        Around::pixels(wanted, |cell| self.nothing >> cell & NINE == NINE)
+    }
+
+    fn alike(&self, wanted: u16) -> u16 {
+        let nothing = self.all_nothing(wanted);
+        let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
+        let surface = Around::pixels(wanted & !nothing, |cell| {
+            let near = |bits: u64| bits >> cell & NINE != 0;
+            let parted = centre(self.lit, cell) && near(self.unlit)
+                || centre(self.unlit, cell) && near(self.lit);
+            !near(self.nothing) && !parted
+        });
+        let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
+        let flat = rows.fold(0, |bits, row| bits | self.flat(row) << (SIDE * row));
+        nothing | surface & flat
+    }
+
+    /// Which pixels of a row of the tile lie on one plane with those around them.
+    fn flat(&self, row: usize) -> u16 {
+        let four = |values: &[f32; CELLS], cell: usize| {
+            f32x4::from(<[f32; 4]>::try_from(&values[cell..cell + 4]).expect("four of them"))
+        };
+        let three = |values: &[[f32; CELLS]; 3], cell| [0, 1, 2].map(|k| four(&values[k], cell));
+        let dot = |a: [f32x4; 3], b: [f32x4; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let first = STRIDE * row;
+        let here = first + STRIDE + 1;
+        let (point, normal) = (three(&self.points, here), three(&self.normals, here));
+        let tolerance = four(&self.tolerances, here);
+        let mut flat = f32x4::splat(f32::from_bits(u32::MAX));
+        for cell in [0, 1, 2].map(|i| first + STRIDE * i) {
+            for cell in cell..cell + 3 {
+                let (p, n) = (three(&self.points, cell), three(&self.normals, cell));
+                let beside = dot(normal, [0, 1, 2].map(|k| p[k] - point[k])).abs();
+                // NaN is neither.
+                flat &= beside.simd_le(tolerance);
+                flat &= dot(normal, n).simd_ge(f32x4::splat(NORMAL_TOLERANCE));
+            }
+        }
+        flat.to_bitmask() as u16
+    }
+}
