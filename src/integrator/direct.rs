@@ -120,10 +120,9 @@ impl Frame<'_> {
         for band in bands {
             while next <= band + around && next < self.pixels.bands() {
                 let tiles = self.pixels.tiles(next, around);
-                window.fill(
-                    next,
-                    tiles.map(|first| (first, self.lit.centers(next, first))),
-                );
+                window.fill(next, tiles, |first, tile| {
+                    self.lit.centers(next, first, tile)
+                });
                 next += 1;
             }
             for column in self.pixels.tiles(band, 0) {

@@ -82,7 +82,7 @@ impl<'a> LitRays<'a> {
     }
 
     /// What the centres of a tile's pixels see, row by row.
-    pub fn centers(&self, band: usize, first: usize) -> [Center; WIDTH] {
+    pub fn centers(&self, band: usize, first: usize, centers: &mut [Center; WIDTH]) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
         let mut places = [DVec2::ZERO; WIDTH];
@@ -98,16 +98,12 @@ impl<'a> LitRays<'a> {
                 count += 1;
             }
         }
-        let mut seen = [const { Center::Nothing }; WIDTH];
-        self.look(&places[..count], &directions[..count], &mut seen);
-        if count == WIDTH {
-            return seen;
+        self.look(&places[..count], &directions[..count], centers);
+        // At the sensor's border a tile has less than sixteen.
+        centers[count..].fill(Center::Nothing);
+        for (i, &pixel) in pixels[..count].iter().enumerate().rev() {
+            centers.swap(i, pixel);
         }
-        let mut centers = [const { Center::Nothing }; WIDTH];
-        for (&pixel, center) in pixels[..count].iter().zip(seen) {
-            centers[pixel] = center;
-        }
-        centers
     }
 
     /// What rays in these directions (unit) see, up to 16, that start at the eye

@@ -61,14 +61,7 @@ impl Pixels {
     /// Columns of a row's pixels, from left to right.
     pub fn of(&self, row: usize) -> impl Iterator<Item = usize> + '_ {
         let words = self.row(row).iter().enumerate();
-        words.flat_map(|(word, &bits)| {
-            let mut left = bits;
-            std::iter::from_fn(move || {
-                let bit = left.trailing_zeros() as usize;
-                left &= left.wrapping_sub(1);
-                (bit < 64).then_some(64 * word + bit)
-            })
-        })
+        words.flat_map(|(word, &bits)| ones(bits).map(move |bit| 64 * word + bit))
     }
 
     /// Bands of rows that tiles are as high as; the last may be lower.
@@ -95,8 +88,10 @@ impl Pixels {
                 };
                 bits |= bits << 1 | bits >> 1 | before >> 63 | after << 63;
             }
-            let tiles = (0..64 / SIDE).filter(move |k| bits >> (SIDE * k) & 0xf != 0);
-            let first = tiles.map(move |k| 64 * i + SIDE * k);
+            // The first bit of each four of which one is set.
+            bits |= bits >> 1;
+            bits = (bits | bits >> 2) & 0x1111_1111_1111_1111;
+            let first = ones(bits).map(move |bit| 64 * i + bit);
             first.filter(|&first| first < self.columns)
         })
     }
@@ -111,6 +106,15 @@ impl Pixels {
     pub fn count(&self, row: usize) -> usize {
         self.row(row).iter().map(|w| w.count_ones() as usize).sum()
     }
+}
+
+/// Places of the bits that are set.
+fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = bits.trailing_zeros() as usize;
+        bits &= bits.wrapping_sub(1);
+        (bit < 64).then_some(bit)
+    })
 }
 
 #[cfg(test)]

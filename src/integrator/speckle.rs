@@ -5,6 +5,7 @@ use crate::math::DVec2;
 use crate::speckle::coordinate::{Coordinate, GrainMap};
 use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, SlippingField};
 use crate::speckle::lookup::Lookup;
+use glam::Vec2;
 use wide::f32x4;
 
 /// Speckle patterns, and how they lie over the sensor in one frame.
@@ -162,11 +163,16 @@ impl<'a> Reader<'a> {
             Some((_, steps)) => steps,
             None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
         };
+        let extent = steps[0].abs() + steps[1].abs();
         PixelReader {
             reader: self,
+            field: match &self.source {
+                Source::InFocus(field) if extent.max_element() < field.period() => Some(field),
+                _ => None,
+            },
             centre,
             at,
-            steps,
+            steps: steps.map(|step| step.as_vec2()),
         }
     }
 }
@@ -174,10 +180,12 @@ impl<'a> Reader<'a> {
 /// Speckle within a pixel, over which the pattern is not bent.
 pub(super) struct PixelReader<'a> {
     reader: &'a Reader<'a>,
+    /// One in focus whose period is larger than the pixel.
+    field: Option<&'a FrameField>,
     centre: DVec2,
     at: DVec2,
     /// Texels by column and by row.
-    steps: [DVec2; 2],
+    steps: [Vec2; 2],
 }
 
 impl PixelReader<'_> {
@@ -186,27 +194,16 @@ impl PixelReader<'_> {
     /// its axis; what others give is of no use.
     #[inline(always)]
     pub fn four(&self, columns: f32x4, rows: f32x4, depths: [f64; 4], count: usize) -> f32x4 {
-        match &self.reader.source {
-            Source::InFocus(field) if self.is_small(field) => {
-                let [by_column, by_row] = self.steps.map(|step| step.as_vec2());
-                let s = columns * by_column.x + rows * by_row.x;
-                let t = columns * by_column.y + rows * by_row.y;
-                field.around(self.at, s, t, count)
-            }
-            _ => {
-                let (columns, rows) = (columns.to_array(), rows.to_array());
-                let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
-                let read = |i| self.reader.intensity(self.centre + off(i), depths[i]) as f32;
-                [0, 1, 2, 3].map(read).into()
-            }
-        }
-    }
-
-    /// Whether the pixel is smaller than the field's period.
-    #[inline(always)]
-    fn is_small(&self, field: &FrameField) -> bool {
-        let [by_column, by_row] = self.steps.map(DVec2::abs);
-        (by_column + by_row).max_element() < field.period()
+        let Some(field) = self.field else {
+            let (columns, rows) = (columns.to_array(), rows.to_array());
+            let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
+            let read = |i| self.reader.intensity(self.centre + off(i), depths[i]) as f32;
+            return [0, 1, 2, 3].map(read).into();
+        };
+        let [by_column, by_row] = self.steps;
+        let s = columns * by_column.x + rows * by_row.x;
+        let t = columns * by_column.y + rows * by_row.y;
+        field.around(self.at, s, t, count)
     }
 }
 

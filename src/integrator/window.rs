@@ -19,6 +19,7 @@ pub(super) struct Window {
 struct Band {
     /// For each tile of the band, counted from the left, its place in `tiles`.
     places: Vec<u32>,
+    /// Those past the last place are left from other bands.
     tiles: Vec<[Center; WIDTH]>,
 }
 
@@ -33,16 +34,23 @@ impl Band {
 }
 
 impl Window {
-    /// Takes in tiles by their first column, from left to right, in the place of the
-    /// band [`BANDS`] before.
-    pub fn fill(&mut self, band: usize, tiles: impl Iterator<Item = (usize, [Center; WIDTH])>) {
-        let Band { places, tiles: all } = &mut self.bands[band % BANDS];
+    /// Takes in the tiles of these first columns, from left to right, each as `centers`
+    /// writes it, in the place of the band [`BANDS`] before.
+    pub fn fill(
+        &mut self,
+        band: usize,
+        firsts: impl Iterator<Item = usize>,
+        centers: impl Fn(usize, &mut [Center; WIDTH]),
+    ) {
+        let Band { places, tiles } = &mut self.bands[band % BANDS];
         places.clear();
-        all.clear();
-        for (first, centers) in tiles {
+        for (place, first) in firsts.enumerate() {
             places.resize(first / SIDE, MISSING);
-            places.push(all.len() as u32);
-            all.push(centers);
+            places.push(place as u32);
+            if place == tiles.len() {
+                tiles.push([const { Center::Nothing }; WIDTH]);
+            }
+            centers(first, &mut tiles[place]);
         }
     }
 
