@@ -3,7 +3,8 @@
 
 use super::Sampling;
 use super::height_error::{HeightError, quantile, share_beyond};
-use super::plan::{Plan, sampling_error};
+use super::plan::Plan;
+use super::samples::sampling_error;
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::sampling_deviation;

@@ -106,7 +106,7 @@ impl Frame<'_> {
             return values;
         }
         // How far around a pixel centres matter to it.
-        let around = match (self.lit.view.sampling, self.grid.count()) {
+        let around = match (self.lit.view.sampling, self.grid.samples().len()) {
             (_, 1) => 0,
             (Sampling::Planes, _) => 1,
             (Sampling::Rays, _) => {
@@ -170,63 +170,59 @@ impl Frame<'_> {
         let centre = DVec2::new(column as f64, row as f64) + 0.5;
         let mut bend = DVec2::ZERO;
         let mut sum = 0.0;
-        let mut samples = self.grid.places(column, row);
-        loop {
+        for samples in self.grid.samples().chunks(WIDTH) {
             let mut places = [DVec2::ZERO; WIDTH];
             let mut directions = [DVec3::Z; WIDTH];
-            let mut count = 0;
-            for place in samples.by_ref().take(WIDTH) {
-                places[count] = place;
-                let towards = sight.towards(sight.to_sensor(place), &mut bend);
-                directions[count] = towards.normalize();
-                count += 1;
+            for (i, (off, _)) in samples.iter().enumerate() {
+                places[i] = centre + *off;
+                let towards = sight.towards(sight.to_sensor(places[i]), &mut bend);
+                directions[i] = towards.normalize();
             }
-            if count == 0 {
-                break;
-            }
+            let count = samples.len();
             let mut centers = [const { Center::Nothing }; WIDTH];
-            let places = &places[..count];
-            self.lit.look(places, &directions[..count], &mut centers);
-            let seen = places.iter().zip(&centers);
-            let lit = seen.filter_map(|(&place, center)| match center {
-                Center::Lit(light, _) => Some((place - centre, light)),
-                _ => None,
-            });
-            sum += self.with_speckle(centre, lit);
+            self.lit
+                .look(&places[..count], &directions[..count], &mut centers);
+            let lit = samples.iter().zip(&centers);
+            sum += self.with_speckle(
+                centre,
+                lit.filter_map(|((off, weight), center)| match center {
+                    Center::Lit(light, _) => Some((*off, *weight, light)),
+                    _ => None,
+                }),
+            );
         }
-        sum / self.grid.count() as f64
+        sum
     }
 
-    /// Sum of the irradiance from points seen so many columns and rows from a pixel's
-    /// centre.
+    /// Weighted sum of the irradiance from points seen so many columns and rows from a
+    /// pixel's centre.
     fn with_speckle<'l>(
         &self,
         centre: DVec2,
-        mut lit: impl Iterator<Item = (DVec2, &'l Light)>,
+        mut lit: impl Iterator<Item = (DVec2, f64, &'l Light)>,
     ) -> f64 {
+        let value = |weight: f64, light: &Light| weight * light.irradiance * light.share;
         let Some(reader) = &self.speckle else {
-            return lit.map(|(_, light)| light.irradiance * light.share).sum();
+            return lit.map(|(_, weight, light)| value(weight, light)).sum();
         };
-        let mut sum = 0.0;
         let reader = reader.pixel(centre);
+        let mut sum = 0.0;
         loop {
             let (mut columns, mut rows) = ([0.0; 4], [0.0; 4]);
             let (mut depths, mut values) = ([0.0; 4], [0.0; 4]);
             let mut count = 0;
-            for (off, light) in lit.by_ref().take(4) {
+            for (off, weight, light) in lit.by_ref().take(4) {
                 (columns[count], rows[count]) = (off.x as f32, off.y as f32);
-                depths[count] = light.depth;
-                values[count] = light.irradiance * light.share;
+                (depths[count], values[count]) = (light.depth, value(weight, light));
                 count += 1;
             }
             if count == 0 {
                 return sum;
             }
             let speckle = reader.four(columns.into(), rows.into(), depths, count);
-            let speckle = speckle.to_array().map(f64::from);
-            sum += (values.iter().zip(speckle).take(count))
-                .map(|(e, i)| e * i)
-                .sum::<f64>();
+            let read = speckle.to_array().map(f64::from);
+            let shares = values.iter().zip(read).take(count);
+            sum += shares.map(|(value, speckle)| value * speckle).sum::<f64>();
         }
     }
 }

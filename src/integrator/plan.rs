@@ -4,6 +4,7 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::samples::sampling_error;
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
@@ -11,7 +12,6 @@ use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use serde::Serialize;
-use std::f64::consts::PI;
 
 /// What a frame of this scene needs. Each way of doing it is a value here.
 #[derive(Debug, Clone, Serialize)]
@@ -122,14 +122,6 @@ const CONTRAST_TOLERANCE: f64 = 0.03;
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
 pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
-
-/// Greatest error (pixels) of the centroid of a Gaussian of standard deviation
-/// `sigma` pixels sampled `n` times a pixel: by Poisson's summation formula the
-/// first alias of the first moment, 4πσ²n·exp(-2π²σ²n²).
-pub fn sampling_error(sigma: f64, n: u32) -> f64 {
-    let n = n as f64;
-    4.0 * PI * sigma * sigma * n * (-2.0 * (PI * sigma * n).powi(2)).exp()
-}
 
 /// Samples a side at which the line's centroid is good to
 /// [`SAMPLING_TOLERANCE_PX`] and the contrast of speckle to [`CONTRAST_TOLERANCE`].

@@ -1,6 +1,7 @@
-//! Frames, boxes and stateless random numbers.
+//! Frames, boxes, stateless random numbers and quadrature.
 
 pub mod frames;
+pub mod quadrature;
 pub mod rng;
 
 pub use frames::Rigid;

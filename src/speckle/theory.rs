@@ -3,6 +3,7 @@
 
 use super::pattern::Aperture;
 use crate::math::DVec2;
+use crate::math::quadrature::gauss_legendre;
 
 impl Aperture {
     /// Correlation μ of the speckle *fields* at two points of the sensor,
@@ -41,8 +42,7 @@ impl Aperture {
 /// at q = ¼ … 8. By Gauss–Legendre quadrature with two panels of eight nodes
 /// per grain, to 1e-9.
 pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
-    let panels = (2.0 * q).ceil().max(2.0) as usize;
-    let nodes = gauss_legendre(panels);
+    let nodes = panels((2.0 * q).ceil().max(2.0) as usize);
     let variance: f64 = nodes
         .iter()
         .flat_map(|&x| nodes.iter().map(move |&y| (x, y)))
@@ -61,7 +61,7 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
 /// that of 16, falling as 1/q², which is 2 % of it off.
 pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
     let fine = q.min(16.0);
-    let nodes = gauss_legendre((2.0 * fine).ceil().max(2.0) as usize);
+    let nodes = panels((2.0 * fine).ceil().max(2.0) as usize);
     let along = nodes.iter().flat_map(|&(y, w)| [(y, w), (-y, w)]);
     let covariance: f64 = along
         .flat_map(|y| nodes.iter().map(move |&x| (x, y)))
@@ -73,54 +73,55 @@ pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
     covariance * (fine / q).powi(2)
 }
 
-/// Contrast of the mean of n × n point samples spread evenly over a pixel of
-/// pitch p = q·h; tends to [`integrated_contrast`] from above.
+/// Contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre
+/// quadrature over a pixel of pitch p = q·h; tends to [`integrated_contrast`].
 pub fn sampled_contrast(aperture: Aperture, q: f64, n: usize) -> f64 {
-    let samples = 1 - n as i64..n as i64;
-    let variance: f64 = samples
-        .clone()
-        .flat_map(|i| samples.clone().map(move |j| (i, j)))
-        .map(|(i, j)| {
-            let mu = aperture.field_correlation(q / n as f64 * DVec2::new(i as f64, j as f64));
-            let pairs = (n as i64 - i.abs()) * (n as i64 - j.abs());
-            pairs as f64 * mu * mu
-        })
-        .sum();
-    variance.sqrt() / (n * n) as f64
+    let rule = gauss_legendre(n);
+    covariance(aperture, q, &rule, &rule).sqrt()
 }
 
-/// Standard deviation of the difference between the mean of n × n point samples spread
-/// evenly over a pixel of pitch p = q·h and the mean over all of it, for speckle of mean
-/// 1: √(C_n² + C² − 2·K), K the covariance of the two, by the same quadrature.
+/// Covariance of means over two symmetric rules of nodes and weights on [0, 1] of a pixel.
+fn covariance(aperture: Aperture, q: f64, a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
+    // μ² is even along both axes.
+    let twice = |lag: f64| if lag > 1e-9 { 2.0 } else { 1.0 };
+    let lags = a
+        .iter()
+        .flat_map(|&(x, w)| b.iter().map(move |&(y, v)| (x - y, w * v)));
+    let lags = lags.filter(|&(lag, _)| lag > -1e-9);
+    let lags: Vec<(f64, f64)> = lags.map(|(lag, w)| (lag, w * twice(lag))).collect();
+    let of_row = |&(y, w): &(f64, f64)| {
+        let row = lags.iter().map(|&(x, v)| {
+            let mu = aperture.field_correlation(q * DVec2::new(x, y));
+            v * mu * mu
+        });
+        w * row.sum::<f64>()
+    };
+    lags.iter().map(of_row).sum()
+}
+
+/// Standard deviation of the difference between the mean of n × n point samples over a
+/// pixel of pitch p = q·h and the mean over all of it, for speckle of mean 1:
+/// √(C_n² + C² − 2·K), K the covariance of the two, by the same quadrature.
 pub fn sampling_deviation(aperture: Aperture, q: f64, n: usize) -> f64 {
-    let nodes = gauss_legendre((2.0 * q).ceil().max(2.0) as usize);
-    let place = |i: usize| (i as f64 + 0.5) / n as f64;
-    // Of the symmetric quarters of the pixel one stands for all.
-    let quarter = n.div_ceil(2);
-    let weight = |i: usize| if 2 * i + 1 == n { 1.0 } else { 2.0 };
-    let mut covariance = 0.0;
-    for (i, j) in (0..quarter).flat_map(|i| (0..quarter).map(move |j| (i, j))) {
-        for &(x, wx) in &nodes {
-            for &(y, wy) in &nodes {
-                let lag = DVec2::new(place(i) - x, place(j) - y);
-                let mu = aperture.field_correlation(q * lag);
-                covariance += weight(i) * weight(j) * wx * wy * mu * mu;
-            }
-        }
-    }
-    covariance /= (n * n) as f64;
+    let (rule, pixel) = (
+        gauss_legendre(n),
+        panels((2.0 * q).ceil().max(2.0) as usize),
+    );
     let variances =
-        sampled_contrast(aperture, q, n).powi(2) + integrated_contrast(aperture, q).powi(2);
-    (variances - 2.0 * covariance).max(0.0).sqrt()
+        covariance(aperture, q, &rule, &rule) + integrated_contrast(aperture, q).powi(2);
+    let shared = covariance(aperture, q, &rule, &pixel);
+    (variances - 2.0 * shared).max(0.0).sqrt()
 }
 
 /// Least n for which n × n point samples give the contrast of a pixel of pitch
 /// p = q·h to the relative `error`.
 pub fn samples_across_pixel(aperture: Aperture, q: f64, error: f64) -> usize {
     let exact = integrated_contrast(aperture, q);
-    let close = |&n: &usize| (sampled_contrast(aperture, q, n) / exact - 1.0).abs() <= error;
+    let close = |n: usize| (sampled_contrast(aperture, q, n) / exact - 1.0).abs() <= error;
+    // Where samples are some grains apart the contrast passes that of the pixel, and
+    // more of them are further off.
     (1..)
-        .find(close)
+        .find(|&n| close(n) && close(n + 1))
         .expect("the sum converges to the integral")
 }
 
@@ -136,20 +137,13 @@ pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
 }
 
 /// Nodes and weights on [0, 1], eight in each of the `panels`.
-fn gauss_legendre(panels: usize) -> Vec<(f64, f64)> {
-    const NODES: [(f64, f64); 4] = [
-        (0.183_434_642_495_649_8, 0.362_683_783_378_362),
-        (0.525_532_409_916_329, 0.313_706_645_877_887_3),
-        (0.796_666_477_413_626_7, 0.222_381_034_453_374_48),
-        (0.960_289_856_497_536_3, 0.101_228_536_290_376_26),
-    ];
-    let half = 0.5 / panels as f64;
+fn panels(panels: usize) -> Vec<(f64, f64)> {
+    let rule = gauss_legendre(8);
+    let share = 1.0 / panels as f64;
     (0..panels)
-        .map(|panel| (2 * panel + 1) as f64 * half)
-        .flat_map(|middle| {
-            NODES.into_iter().flat_map(move |(x, w)| {
-                [(middle - half * x, half * w), (middle + half * x, half * w)]
-            })
+        .flat_map(|i| {
+            rule.iter()
+                .map(move |(x, w)| (share * (i as f64 + x), share * w))
         })
         .collect()
 }
