@@ -10,12 +10,14 @@ pub const GROUP: usize = 5;
 /// Bits of a pixel's share: 4096 cells of equal probability.
 const CELL_BITS: u32 = 12;
 const CELLS: usize = 1 << CELL_BITS;
+/// No count: they end at 2¹⁶ - 1.
+const MIXED: u32 = u32::MAX;
 
 /// The distribution of the counts of dark pixels under read noise: by the inverse
 /// of its cumulative distribution, exact to 2⁻⁵³.
 pub struct DarkCounts {
-    /// The count all over a cell; `None` where counts meet in it.
-    cells: Vec<Option<u16>>,
+    /// The count all over a cell; [`MIXED`] where counts meet in it.
+    cells: Box<[u32; CELLS]>,
     /// Chance of a count of at most k.
     cumulative: Vec<f64>,
 }
@@ -38,16 +40,16 @@ impl DarkCounts {
             libm::erfc(-deviations * FRAC_1_SQRT_2) / 2.0
         };
         let mut dark = DarkCounts {
-            cells: Vec::new(),
+            cells: Box::new([MIXED; CELLS]),
             cumulative: (0..=sensor.max_count()).map(at_most).collect(),
         };
-        dark.cells = (0..CELLS)
-            .map(|cell| {
-                let edge = |i: usize| i as f64 / CELLS as f64;
-                let count = dark.quantile(edge(cell));
-                (dark.cumulative[count as usize] >= edge(cell + 1)).then_some(count)
-            })
-            .collect();
+        for cell in 0..CELLS {
+            let edge = |i: usize| i as f64 / CELLS as f64;
+            let count = dark.quantile(edge(cell));
+            if dark.cumulative[count as usize] >= edge(cell + 1) {
+                dark.cells[cell] = count.into();
+            }
+        }
         Some(dark)
     }
 
@@ -56,16 +58,22 @@ impl DarkCounts {
         self.cumulative.partition_point(|&c| c <= u) as u16
     }
 
-    /// Sets the counts of a group of dark pixels from 64 random `bits`; `pixel` gives
-    /// the key of a pixel.
+    /// Sets the counts of a group of dark pixels, or of less, from 64 random `bits`;
+    /// `pixel` gives the key of a pixel.
     #[inline]
     pub fn draw(&self, counts: &mut [u16], bits: u64, pixel: impl Fn(usize) -> Key) {
-        for (i, count) in counts.iter_mut().enumerate().take(GROUP) {
-            let cell = (bits >> (CELL_BITS as usize * i)) as usize % CELLS;
-            *count = self.cells[cell].unwrap_or_else(|| {
+        let drawn: [u32; GROUP] = std::array::from_fn(|i| {
+            self.cells[(bits >> (CELL_BITS as usize * i)) as usize % CELLS]
+        });
+        for (count, drawn) in counts.iter_mut().zip(drawn) {
+            *count = drawn as u16;
+        }
+        if drawn.contains(&MIXED) {
+            for i in (0..counts.len()).filter(|&i| drawn[i] == MIXED) {
+                let cell = (bits >> (CELL_BITS as usize * i)) as usize % CELLS;
                 let within = pixel(i).uniform(0);
-                self.quantile((cell as f64 + within) / CELLS as f64)
-            });
+                counts[i] = self.quantile((cell as f64 + within) / CELLS as f64);
+            }
         }
     }
 }

@@ -19,7 +19,8 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
         ..optics
     };
     assert_eq!(samples_per_side(3.0, 1.0, None), 1);
-    assert_eq!(samples_per_side(0.4, 1.0, None), 2);
+    assert_eq!(samples_per_side(0.5, 1.0, None), 3);
+    assert_eq!(samples_per_side(0.4, 1.0, None), 4);
     let fine = samples_per_side(3.0, 0.25, Some(&optics));
     assert!(fine > samples_per_side(3.0, 1.0, Some(&optics)) && fine < MAX_SAMPLES_PER_SIDE);
     assert_eq!(samples_per_side(3.0, 0.25, Some(&prefiltered)), 1);

@@ -4,6 +4,7 @@ use super::background::{Background, Histogram, background, detection_sigmas};
 use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
 use super::{Choice, Flags, Peak, PeakSettings};
+use std::cell::Cell;
 use wide::u16x8;
 
 /// Share of the height of the column's highest line that another has at least.
@@ -53,13 +54,16 @@ struct Found<'a> {
 pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Vec<Peak> {
     let rows = counts.len() / columns;
     let z = detection_sigmas(counts.len());
-    let by_column = transposed(counts, columns);
     let highest = counts.iter().copied().max().unwrap_or(0);
     let mut histogram = Histogram::new(highest);
-    let found: Vec<Option<Column>> = by_column
-        .chunks_exact(rows)
-        .map(|column| detect(column, z, &mut histogram))
-        .collect();
+    let mut by_column = BY_COLUMN.take();
+    by_column.resize(counts.len(), 0);
+    let mut found: Vec<Option<Column>> = Vec::with_capacity(columns);
+    for (i, strip) in by_column.chunks_mut(STRIP * rows).enumerate() {
+        transpose(counts, columns, STRIP * i, strip);
+        let strip = strip.chunks_exact(rows);
+        found.extend(strip.map(|column| detect(column, z, &mut histogram)));
+    }
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
@@ -98,6 +102,7 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
     compare_neighbours(&mut peaks, columns, settings.expected_sigma);
+    BY_COLUMN.set(by_column);
     peaks
 }
 
@@ -131,10 +136,16 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
 /// Rows and columns that are turned together.
 const TILE: usize = 8;
 
-/// The image column by column.
-fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
+thread_local! {
+    /// The image of the last frame column by column: that of the next takes its place,
+    /// for fresh memory costs as much as to fill it.
+    static BY_COLUMN: Cell<Vec<u16>> = const { Cell::new(Vec::new()) };
+}
+
+/// The columns of an image from `first` on that fill `by_column`, one after the other.
+fn transpose(counts: &[u16], columns: usize, first: usize, by_column: &mut [u16]) {
     let rows = counts.len() / columns;
-    let mut by_column = vec![0; counts.len()];
+    let end = first + by_column.len() / rows;
     let turn = |band: &[u16], first: usize, width: usize| {
         let mut tile = [u16x8::ZERO; TILE];
         for (lanes, row) in tile.iter_mut().zip(band.chunks_exact(columns)) {
@@ -142,25 +153,21 @@ fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
         }
         u16x8::transpose(tile)
     };
-    for strip in (0..columns).step_by(STRIP) {
-        let end = (strip + STRIP).min(columns);
-        for (i, band) in counts.chunks(columns * TILE).enumerate() {
-            let height = band.len() / columns;
-            for first in (strip..end).step_by(TILE) {
-                let width = TILE.min(end - first);
-                // With the width known the rows are copied as vectors.
-                let turned = match width {
-                    TILE => turn(band, first, TILE),
-                    _ => turn(band, first, width),
-                };
-                for (column, lanes) in (first..first + width).zip(turned) {
-                    let to = &mut by_column[column * rows + i * TILE..][..height];
-                    to.copy_from_slice(&lanes.as_array()[..height]);
-                }
+    for (i, band) in counts.chunks(columns * TILE).enumerate() {
+        let height = band.len() / columns;
+        for from in (first..end).step_by(TILE) {
+            let width = TILE.min(end - from);
+            // With the width known the rows are copied as vectors.
+            let turned = match width {
+                TILE => turn(band, from, TILE),
+                _ => turn(band, from, width),
+            };
+            for (column, lanes) in (from - first..from - first + width).zip(turned) {
+                let to = &mut by_column[column * rows + i * TILE..][..height];
+                to.copy_from_slice(&lanes.as_array()[..height]);
             }
         }
     }
-    by_column
 }
 
 /// The highest line of a column, if it is one.

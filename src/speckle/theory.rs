@@ -261,23 +261,29 @@ mod tests {
         assert!((law - 0.3905).abs() < 1e-4, "{law}");
     }
 
-    /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 more: pairs
-    /// of samples summed one by one.
+    /// What n × n samples miss of a pixel's mean, against the mean of 24 × 24 even ones:
+    /// pairs of samples summed one by one.
     #[test]
     fn samples_miss_what_pairs_of_samples_say() {
-        let mean = |n: usize| {
-            let place = move |i: usize| (i as f64 + 0.5) / n as f64;
-            (0..n * n).map(move |i| DVec2::new(place(i % n), place(i / n)))
+        let even: Vec<(f64, f64)> = (0..24)
+            .map(|i| ((i as f64 + 0.5) / 24.0, 1.0 / 24.0))
+            .collect();
+        let square = |rule: &[(f64, f64)]| -> Vec<(DVec2, f64)> {
+            let rows = rule.iter().flat_map(|y| rule.iter().map(move |x| (x, y)));
+            rows.map(|(x, y)| (DVec2::new(x.0, y.0), x.1 * y.1))
+                .collect()
         };
         for (q, n) in [(1.0, 1), (1.0, 3), (2.5, 2)] {
-            let covariance = |a: usize, b: usize| {
-                let pairs = mean(a).flat_map(|p| mean(b).map(move |r| p - r));
-                let sum: f64 = pairs
-                    .map(|lag| Aperture::Circle.field_correlation(q * lag).powi(2))
-                    .sum();
-                sum / (a * a * b * b) as f64
+            let (few, many) = (square(&gauss_legendre(n)), square(&even));
+            let covariance = |a: &[(DVec2, f64)], b: &[(DVec2, f64)]| -> f64 {
+                let pairs = a
+                    .iter()
+                    .flat_map(|p| b.iter().map(move |r| (p.0 - r.0, p.1 * r.1)));
+                let mu = |lag: DVec2| Aperture::Circle.field_correlation(q * lag);
+                pairs.map(|(lag, weight)| weight * mu(lag).powi(2)).sum()
             };
-            let pairs = covariance(n, n) + covariance(24, 24) - 2.0 * covariance(n, 24);
+            let pairs =
+                covariance(&few, &few) + covariance(&many, &many) - 2.0 * covariance(&few, &many);
             let found = sampling_deviation(Aperture::Circle, q, n);
             // Midpoints 24 a side are good to (q/24)²/24·π²/2 of a variance of 1.
             assert!(
