@@ -98,6 +98,7 @@ pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<Cali
         files::remove(file)?;
     }
     scene.mesh = shapes::plane(DVec2::splat(4.0 * width)).expect("a field has a width");
+    scene.copies = vec![Rigid::IDENTITY];
     scene.calibration = None;
     scene.scan = ScanPath::at_rest();
     for (i, target) in targets.iter().enumerate() {

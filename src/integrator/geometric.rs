@@ -164,7 +164,7 @@ impl Target {
     /// rays met.
     fn on_triangle(&self) -> Option<Hit> {
         let [a, b] = self.ends.map(|end| end.hit);
-        (a.triangle == b.triangle).then(|| Hit {
+        (a.face == b.face).then(|| Hit {
             point: a.point.lerp(b.point, self.share()),
             ..a
         })
