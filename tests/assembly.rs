@@ -102,8 +102,9 @@ fn a_copy_shades_another() {
     scene.mesh = shapes::plane([30.0, 30.0].into()).unwrap();
     scene.speckle = None;
     let low = pose([0.0; 3], [0.0, 0.0, 5.0]);
-    // In the light's way, and not in the camera's, which looks 30° from the front.
-    let roof = pose([180.0, 0.0, 0.0], [20.0, 30.0, 60.0]);
+    // In the way of half of the light, and not of the camera, which looks 30° from the
+    // front and does not see as high.
+    let roof = pose([180.0, 0.0, 0.0], [15.0, 18.0, 60.0]);
     let light = |copies: Vec<Rigid>| {
         let mut scene = Scene {
             copies,
@@ -156,26 +157,31 @@ fn profiles_without_an_image_are_those_of_the_flattened_mesh() {
     }
 }
 
-/// Of the same image both say the same points, and the same deviations to rounding: 1e-10
-/// mm is a thousand roundings of 100 mm.
+/// Of the same image both say the same points (but for how wide they expect the line,
+/// since their boxes differ), and the same deviations to as much and rounding: 1e-10 mm
+/// is a thousand roundings of 100 mm.
 #[test]
 fn deviations_are_from_the_whole_assembly() {
     for &backend in Backend::value_variants() {
         let scenes = scenes(backend);
         let [copies, flat] = [0, 1].map(|i| Simulation::new(&scenes[i]).unwrap());
-        let mut points = 0;
+        let (mut points, mut apart) = (0, 0);
         for frame in FRAMES {
             let counts = flat.counts(frame, &flat.irradiance(frame));
             let [a, b] = [&copies, &flat].map(|s| s.measure(frame, &counts).1);
             assert_eq!(a.len(), b.len());
             for (a, b) in a.iter().zip(&b) {
-                assert_eq!(a.position, b.position);
+                let moved = a.position.distance(b.position);
                 let off = a.deviation.abs() - b.deviation.abs();
-                assert!(off.abs() < 1e-10, "{a:?} {b:?}");
+                assert!(off.abs() < moved + 1e-10, "{a:?} {b:?}");
+                apart += usize::from(moved > 1e-4);
             }
             points += a.len();
         }
-        assert!(points > 3_000, "{points}");
+        assert!(
+            points > 3_000 && apart < points / 100,
+            "{apart} of {points}"
+        );
     }
 }
 
@@ -275,7 +281,7 @@ fn mistakes_in_the_copies_are_named() {
     fs::write(&copies, COPIES.lines().next().unwrap()).unwrap();
     refused("copies.csv: found 0 poses, expected from 1");
     fs::remove_file(&copies).unwrap();
-    refused("scene.toml:7: part.copies: found \"copies.csv\", expected a CSV file of poses");
+    refused("scene.toml:6: part.copies: found \"copies.csv\", expected a CSV file of poses");
 }
 
 /// The hash in the manifest is of the copies too: a scan with others is not resumed.

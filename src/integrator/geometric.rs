@@ -110,7 +110,8 @@ impl Sheet {
                     ends: [a, b],
                     rounds: 0,
                 });
-                if targets.len() == WIDTH {
+                // One round may settle none.
+                while targets.len() == WIDTH {
                     frame.settle(&mut targets, &mut columns);
                 }
                 column += 1.0;
