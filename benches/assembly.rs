@@ -84,7 +84,7 @@ fn assembly(c: &mut Criterion) {
         .build_global()
         .unwrap();
     let (one, thousand) = ([Rigid::IDENTITY], poses());
-    let large = shapes::sphere(0.9, 2e-6).unwrap();
+    let large = shapes::sphere(0.9, 1e-5).unwrap();
     for (copies, poses) in [(1, &one[..]), (1000, &thousand)] {
         let (seconds, bytes) = built(&large, poses);
         let (triangles, ms, mb) = (large.triangles.len(), seconds * 1e3, bytes / 1e6);

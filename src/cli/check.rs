@@ -38,7 +38,7 @@ fn text(check: &Check) -> String {
         let size = check.scene.bounds().size();
         let _ = write!(
             text,
-            "\n  {} copies, together in a box of {} × {} × {} mm",
+            "\ncopies              {}, together in a box of {} × {} × {} mm",
             check.scene.copies.len(),
             short(size.x),
             short(size.y),
