@@ -163,18 +163,19 @@ impl<'m> Accel<'m> {
             // counts.
             let slack = 4.0 * self.resolution();
             let mut local = Local::new(rays, some, pose);
-            for (ray, &i) in local.rays.iter_mut().zip(&local.of) {
-                ray.t_max = ray.t_max.min(met[i].t + slack);
+            for k in 0..local.count {
+                let ray = &mut local.rays[k];
+                ray.t_max = ray.t_max.min(met[local.of[k]].t + slack);
             }
             let unwanted = [const { Cell::new(f64::INFINITY) }; WIDTH];
-            let hits = self.hierarchy.closest(&local.rays, |k, t| {
+            let hits = self.hierarchy.closest(local.rays(), |k, t| {
                 let wanted = wanted(local.of[k], t);
                 if !wanted {
                     unwanted[k].set(t);
                 }
                 wanted
             });
-            for (k, &i) in local.of.iter().enumerate() {
+            for (k, &i) in local.of().iter().enumerate() {
                 // Of a hit that is not wanted it still counts that it hides others.
                 let hit = hits[k].filter(|hit| hit.t <= unwanted[k].get());
                 let t = hit.map_or(unwanted[k].get(), |hit| hit.t);
@@ -196,8 +197,8 @@ impl<'m> Accel<'m> {
         let mut blocked = 0;
         copies.along(rays, |copy, some, packet| {
             let local = Local::new(rays, some, &copies.poses()[copy as usize]);
-            let bits = self.hierarchy.occluded(&local.rays);
-            for (k, &i) in local.of.iter().enumerate() {
+            let bits = self.hierarchy.occluded(local.rays());
+            for (k, &i) in local.of().iter().enumerate() {
                 if bits >> k & 1 == 1 {
                     blocked |= 1 << i;
                     packet.end(i);
@@ -286,26 +287,41 @@ impl<'m> Accel<'m> {
 
 /// Some rays of a packet, in a copy's frame.
 struct Local {
-    rays: SmallVec<[Ray; WIDTH]>,
+    rays: [Ray; WIDTH],
     /// Their numbers in the packet.
-    of: SmallVec<[usize; WIDTH]>,
+    of: [usize; WIDTH],
+    count: usize,
 }
 
 impl Local {
     /// Those of the set bits.
     fn new(rays: &[Ray], some: u16, pose: &Rigid) -> Local {
         let copy_from_part = pose.inverse();
-        let of = (0..rays.len()).filter(|i| some >> i & 1 == 1);
-        let of: SmallVec<[usize; WIDTH]> = of.collect();
-        let moved = |&i: &usize| Ray {
-            origin: copy_from_part.point(rays[i].origin),
-            direction: copy_from_part.vector(rays[i].direction),
-            ..rays[i]
+        let mut local = Local {
+            rays: [rays[0]; WIDTH],
+            of: [0; WIDTH],
+            count: 0,
         };
-        Local {
-            rays: of.iter().map(moved).collect(),
-            of,
+        for (i, ray) in rays.iter().enumerate() {
+            if some >> i & 1 == 1 {
+                local.rays[local.count] = Ray {
+                    origin: copy_from_part.point(ray.origin),
+                    direction: copy_from_part.vector(ray.direction),
+                    ..*ray
+                };
+                local.of[local.count] = i;
+                local.count += 1;
+            }
         }
+        local
+    }
+
+    fn rays(&self) -> &[Ray] {
+        &self.rays[..self.count]
+    }
+
+    fn of(&self) -> &[usize] {
+        &self.of[..self.count]
     }
 }
 

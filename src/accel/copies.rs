@@ -12,6 +12,7 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
 use smallvec::SmallVec;
+use wide::f32x8;
 
 /// Bytes a copy takes while the tree is built, beside its pose.
 pub(super) const BUILD: u64 = 200;
@@ -87,36 +88,40 @@ impl Packet {
 
     /// Which rays look as far as this, as bits.
     fn beyond(&self, distance: f32) -> u16 {
-        bits(self.reach.map(|reach| reach >= distance))
+        bits(halves(&self.reach).map(|reach| reach.simd_ge(f32x8::splat(distance))))
     }
 
     /// Which rays meet a box, as bits, and the least distance at which one enters it.
     fn meets(&self, node: &Bvh2Node) -> (u16, f32) {
-        let (mut enter, mut leave) = ([0.0f32; WIDTH], self.reach);
+        let (mut enter, mut leave) = ([f32x8::ZERO; 2], halves(&self.reach));
         for axis in 0..3 {
-            let (min, max) = (node.min[axis], node.max[axis]);
-            for i in 0..WIDTH {
-                let a = (min - self.origin[axis][i]) * self.inverse[axis][i];
-                let b = (max - self.origin[axis][i]) * self.inverse[axis][i];
-                let (first, last) = if a < b { (a, b) } else { (b, a) };
-                enter[i] = if first > enter[i] { first } else { enter[i] };
-                leave[i] = if last < leave[i] { last } else { leave[i] };
+            let planes = [node.min[axis], node.max[axis]].map(f32x8::splat);
+            let (origin, inverse) = (halves(&self.origin[axis]), halves(&self.inverse[axis]));
+            for half in 0..2 {
+                let [a, b] = planes.map(|plane| (plane - origin[half]) * inverse[half]);
+                enter[half] = enter[half].fast_max(a.fast_min(b));
+                leave[half] = leave[half].fast_min(a.fast_max(b));
             }
         }
-        let mut met = [false; WIDTH];
-        let mut least = f32::INFINITY;
-        for i in 0..WIDTH {
-            met[i] = enter[i] <= leave[i];
-            let entered = if met[i] { enter[i] } else { f32::INFINITY };
-            least = if entered < least { entered } else { least };
-        }
+        let met = [0, 1].map(|half| enter[half].simd_le(leave[half]));
+        let entered = [0, 1].map(|half| met[half].select(enter[half], f32x8::splat(f32::INFINITY)));
+        // In three steps, not in a chain of 16.
+        let e = entered[0].fast_min(entered[1]).to_array();
+        let least = |a: f32, b: f32| if a < b { a } else { b };
+        let four = [0, 1, 2, 3].map(|i| least(e[i], e[i + 4]));
+        let least = least(least(four[0], four[2]), least(four[1], four[3]));
         (bits(met), least)
     }
 }
 
-fn bits(flags: [bool; WIDTH]) -> u16 {
-    let bit = |(i, flag): (usize, bool)| u16::from(flag) << i;
-    flags.into_iter().enumerate().map(bit).sum()
+fn halves(rays: &[f32; WIDTH]) -> [f32x8; 2] {
+    let (a, b) = rays.split_at(WIDTH / 2);
+    [a, b].map(f32x8::from)
+}
+
+fn bits(lanes: [f32x8; 2]) -> u16 {
+    let [low, high] = lanes.map(|half| half.to_bitmask() as u16);
+    low | high << (WIDTH / 2)
 }
 
 impl<'m> Copies<'m> {
