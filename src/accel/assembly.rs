@@ -49,7 +49,7 @@ impl<'m> Accel<'m> {
     }
 
     /// The same hierarchy for copies of the mesh at these poses (at least one,
-    /// part_from_copy), which takes about 70 bytes a copy beside them. Errors:
+    /// part_from_copy), which takes some 80 bytes a copy beside them. Errors:
     /// `Error::Memory` if there is too little.
     pub fn with_copies(self, poses: &'m [Rigid]) -> Result<Accel<'m>> {
         let copies = match poses {
@@ -295,6 +295,7 @@ struct Local {
 
 impl Local {
     /// Those of the set bits.
+    #[inline(always)]
     fn new(rays: &[Ray], some: u16, pose: &Rigid) -> Local {
         let copy_from_part = pose.inverse();
         let mut local = Local {
