@@ -11,7 +11,7 @@ use lasertrace::integrator::{
     Patterns, Sampling, Speckle, View, footprint_image, irradiance_image,
 };
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
-use lasertrace::math::{DVec2, DVec3, Rigid};
+use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
 use lasertrace::scene::Scene;
 use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
@@ -44,8 +44,7 @@ fn camera(resolution: UVec2, pitch: f64, focus_distance: f64, tilt: DVec2) -> Ca
 
 impl Setup {
     /// Laser and camera anywhere, mostly turned towards the part.
-    fn random(mesh: &Mesh, random: &mut Random) -> Setup {
-        let bounds = mesh.bounds();
+    fn random(bounds: &Aabb, random: &mut Random) -> Setup {
         let size = bounds.size().max_element();
         let pose = |random: &mut Random| loop {
             // Now and then amid the part, so that some of it is behind.
@@ -113,6 +112,9 @@ impl Setup {
     }
 }
 
+/// The mesh itself is the part.
+const UNMOVED: &[Rigid] = &[Rigid::IDENTITY];
+
 /// A part with what is built over it.
 struct Part<'m> {
     accel: Accel<'m>,
@@ -132,9 +134,10 @@ fn fields() -> FrameFields {
 }
 
 impl<'m> Part<'m> {
-    fn new(mesh: &'m Mesh, fields: &'m FrameFields) -> Part<'m> {
+    fn new(mesh: &'m Mesh, poses: &'m [Rigid], fields: &'m FrameFields) -> Part<'m> {
+        let accel = Accel::build(mesh, 1).unwrap();
         Part {
-            accel: Accel::build(mesh, 1).unwrap(),
+            accel: accel.with_copies(poses).unwrap(),
             clusters: Clusters::new(mesh),
             fields,
         }
@@ -227,11 +230,11 @@ fn parts() -> Vec<(&'static str, Mesh)> {
 fn random_scenes_are_the_same_to_the_bit() {
     let fields = fields();
     for (i, (name, mesh)) in parts().iter().enumerate() {
-        let part = Part::new(mesh, &fields);
+        let part = Part::new(mesh, UNMOVED, &fields);
         let (mut lit, mut dark) = (0, 0);
         for seed in 0..100 {
             let mut random = Random::new(1000 * i as u64 + seed);
-            let (same, pixels) = part.compare(&Setup::random(mesh, &mut random));
+            let (same, pixels) = part.compare(&Setup::random(&part.accel.bounds(), &mut random));
             assert!(same, "{name}, seed {seed}");
             lit += usize::from(pixels > 0);
             dark += usize::from(pixels == 0);
@@ -241,17 +244,47 @@ fn random_scenes_are_the_same_to_the_bit() {
     }
 }
 
+/// Copies of each part, turned any way, that lie apart, touch and stand in each other.
+#[test]
+fn random_scenes_of_assemblies_are_the_same_to_the_bit() {
+    let fields = fields();
+    for (i, (name, mesh)) in parts().iter().enumerate() {
+        let mut lit = 0;
+        for seed in 0..60 {
+            let mut random = Random::new(500_000 + 1000 * i as u64 + seed);
+            let (count, width) = (1 + random.choice(30), random.scale(0.3, 20.0));
+            let bounds = mesh.bounds();
+            let poses = (0..count).map(|_| {
+                let turn = Rigid::from_euler_xyz(random.vector(3.0), DVec3::ZERO);
+                let middle = random.vector(width * bounds.size().max_element());
+                Rigid {
+                    translation: middle - turn.point(bounds.center()),
+                    ..turn
+                }
+            });
+            let poses: Vec<Rigid> = poses.collect();
+            let part = Part::new(mesh, &poses, &fields);
+            // At one of the copies.
+            let aim = bounds.moved(&poses[random.choice(count)]);
+            let (same, pixels) = part.compare(&Setup::random(&aim, &mut random));
+            assert!(same, "{name}, seed {seed}");
+            lit += usize::from(pixels > 0);
+        }
+        assert!(lit >= 15, "{name}: {lit} lit");
+    }
+}
+
 /// The strongest of these distortions move the sensor's corner by half its distance
 /// from the axis; those that fold are not made.
 #[test]
 fn scenes_seen_through_a_distorting_lens_are_the_same_to_the_bit() {
     let fields = fields();
     for (i, (name, mesh)) in parts().iter().enumerate() {
-        let part = Part::new(mesh, &fields);
+        let part = Part::new(mesh, UNMOVED, &fields);
         let mut lit = 0;
         for seed in 0..90 {
             let mut random = Random::new(1000 * i as u64 + seed);
-            let mut setup = Setup::random(mesh, &mut random);
+            let mut setup = Setup::random(&part.accel.bounds(), &mut random);
             let reach = setup.camera.model().reach().unwrap();
             let strength = random.scale(1e-3, 1.0);
             let distortion = loop {
@@ -280,7 +313,7 @@ fn surfaces_seen_grazing_are_the_same_to_the_bit() {
     let plane = shapes::plane(DVec2::new(60.0, 40.0)).unwrap();
     let block = shapes::step_block(DVec3::new(30.0, 20.0, 12.0), 4.0).unwrap();
     for (mesh, top) in [(&plane, 0.0), (&block, 12.0)] {
-        let part = Part::new(mesh, &fields);
+        let part = Part::new(mesh, UNMOVED, &fields);
         let target = DVec3::new(5.0, 0.3, top);
         for degrees in [90.0f64, 30.0, 3.0, 0.3, 0.03, 0.003, 0.001] {
             for (line, kind) in [(DVec3::X, 0), (DVec3::Y, 1), (DVec3::new(1.0, 0.3, 0.0), 2)] {
@@ -355,10 +388,10 @@ fn random_scenes_of_real_parts_are_the_same_to_the_bit() {
             continue;
         };
         parts += 1;
-        let part = Part::new(&mesh, &fields);
+        let part = Part::new(&mesh, UNMOVED, &fields);
         for seed in 0..12 {
             let mut random = Random::new(900_000 + seed);
-            let (same, pixels) = part.compare(&Setup::random(&mesh, &mut random));
+            let (same, pixels) = part.compare(&Setup::random(&part.accel.bounds(), &mut random));
             assert!(same, "{}, seed {seed}", path.display());
             lit += usize::from(pixels > 0);
         }

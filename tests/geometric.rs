@@ -73,7 +73,7 @@ fn dense(view: &View, sheet_rays: usize, half_fan: f64) -> Vec<(f64, f64, u32)> 
                 return None;
             }
             let DVec2 { x, y } = view.camera.project(camera_from_part.point(hit.point))?;
-            Some((x, y, hit.triangle))
+            Some((x, y, hit.face.triangle))
         })
         .collect()
 }

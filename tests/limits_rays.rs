@@ -37,7 +37,7 @@ fn moved(mut mesh: Mesh, by: DVec3) -> Mesh {
 
 /// Distance of a hit from its ray and from its triangle's plane, mm.
 fn residual(mesh: &Mesh, ray: &Ray, hit: &Hit) -> f64 {
-    let corner = mesh.triangle(hit.triangle as usize)[0];
+    let corner = mesh.triangle(hit.face.triangle as usize)[0];
     let off_plane = (hit.point - corner).dot(hit.normal).abs();
     let off_ray = (hit.point - ray.origin).cross(ray.direction).length();
     off_plane.max(off_ray)
@@ -202,7 +202,7 @@ fn slivers_give_no_far_hits() {
             .collect();
         let (mut hits, mut worst) = (0, 0.0f64);
         for hit in closest(&accel, &rays).into_iter().flatten() {
-            let nearest = accel.nearest(hit.point, Some(hit.triangle));
+            let nearest = accel.nearest(hit.point, Some(hit.face));
             worst = worst.max(nearest.distance);
             hits += 1;
         }
@@ -360,9 +360,7 @@ fn winding_does_not_matter() {
                 continue;
             };
             assert!(found.point.distance(truth.point) < 1e-9, "{ray:?}");
-            assert!(
-                found.normal.dot(truth.normal) > 1.0 - 1e-12 || found.triangle != truth.triangle
-            );
+            assert!(found.normal.dot(truth.normal) > 1.0 - 1e-12 || found.face != truth.face);
             assert!(found.normal.dot(ray.direction) <= 0.0);
         }
     }

@@ -69,7 +69,7 @@ pub(super) fn seek(
             };
             let corners = tree.mesh().triangle(triangle as usize);
             if let Some(hit) = refine(&rays[i], triangle, corners, t, tolerance)
-                && best[i].is_none_or(|best| (hit.t, triangle) < (best.t, best.triangle))
+                && best[i].is_none_or(|best| (hit.t, triangle) < (best.t, best.face.triangle))
             {
                 best[i] = Some(hit);
             }

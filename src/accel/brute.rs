@@ -1,6 +1,6 @@
 //! The oracle: every triangle against every ray, in f64.
 
-use super::{Hit, Nearest, Ray, refine};
+use super::{Face, Hit, Nearest, Ray, refine};
 use crate::math::DVec3;
 use crate::mesh::Mesh;
 
@@ -11,7 +11,7 @@ pub fn closest(mesh: &Mesh, ray: &Ray) -> Option<Hit> {
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(t, i)| Hit {
             t,
-            triangle: i as u32,
+            face: Face::of_mesh(i as u32),
             point: ray.origin + ray.direction * t,
             normal: refine::facing_normal(mesh.triangle(i), ray.direction)
                 .expect("a triangle that is hit has an area"),
@@ -39,7 +39,7 @@ pub fn nearest(mesh: &Mesh, p: DVec3) -> Option<Nearest> {
         .map(|i| {
             let point = refine::nearest_on_triangle(mesh.triangle(i), p);
             Nearest {
-                triangle: i as u32,
+                face: Face::of_mesh(i as u32),
                 point,
                 distance: point.distance(p),
             }

@@ -2,7 +2,8 @@
 //! triangles, in a tree eight wide. Embree has no query for this, and the crates
 //! that have one (rstar, parry) keep 50 to 100 bytes a triangle; this keeps 11.
 
-use crate::math::{Aabb, DVec3};
+use super::Face;
+use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::Mesh;
 use rayon::prelude::*;
 
@@ -29,6 +30,14 @@ impl HalfSpace {
         self.normal.dot(p) + self.offset
     }
 
+    /// The same in another frame.
+    pub(super) fn seen_from(&self, pose: &Rigid) -> HalfSpace {
+        HalfSpace {
+            normal: pose.rotation.transpose() * self.normal,
+            offset: self.height(pose.translation),
+        }
+    }
+
     /// With the plane moved outward by `margin`.
     pub fn widened(self, margin: f64) -> HalfSpace {
         HalfSpace {
@@ -42,7 +51,7 @@ impl HalfSpace {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Found {
     /// A triangle. Bit i of `crossed` is unset if all of it is inside half-space i.
-    Triangle { index: u32, crossed: u32 },
+    Triangle { face: Face, crossed: u32 },
     /// Several triangles at once: all lie in this ball.
     Ball { center: DVec3, radius: f64 },
 }
@@ -160,7 +169,7 @@ impl Clusters {
                 let end = (LEAF * child + LEAF).min(self.order.len());
                 for &index in &self.order[LEAF * child..end] {
                     (q.found)(Found::Triangle {
-                        index,
+                        face: Face::of_mesh(index),
                         crossed: crossings[lane],
                     });
                 }
@@ -306,7 +315,8 @@ mod tests {
                 let mut times = vec![0; mesh.triangles.len()];
                 let mut balls = Vec::new();
                 clusters.touching(&volume, detail, |what| match what {
-                    Found::Triangle { index, crossed } => {
+                    Found::Triangle { face, crossed } => {
+                        let index = face.triangle;
                         times[index as usize] += 1;
                         for (j, half) in volume.iter().enumerate() {
                             let inside =

@@ -3,7 +3,7 @@
 
 use super::hierarchy::{PartBox, Side};
 use super::refine::nearest_on_triangle;
-use super::{Nearest, Ray, WIDTH};
+use super::{Face, Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::DVec3;
 use crate::mesh::{Mesh, Watch};
@@ -345,11 +345,11 @@ impl<'m> Tree<'m> {
             let point = nearest_on_triangle(search.mesh.triangle(args.primID as usize), search.p);
             let distance = point.distance(search.p);
             let best = &search.best;
-            if (distance, args.primID) >= (best.distance, best.triangle) {
+            if (distance, args.primID) >= (best.distance, best.face.triangle) {
                 return false;
             }
             search.best = Nearest {
-                triangle: args.primID,
+                face: Face::of_mesh(args.primID),
                 point,
                 distance,
             };

@@ -64,7 +64,7 @@ impl<'m> BareEmbree<'m> {
         // SAFETY: the device is live, and the box stays where it is until after the
         // device is released.
         unsafe { ffi::lt_device_on_memory(device.handle, Some(count_memory), user) };
-        let mut part = PartBox::new(mesh);
+        let mut part = PartBox::new(mesh.bounds());
         part.center = crate::math::DVec3::ZERO;
         let tree = Tree::filled(device, mesh, &part, robust)?;
         tree.commit(&|_| Ok(()))?;

@@ -13,7 +13,7 @@ fn embree_writes_nothing_past_its_structs() {
         guard: [u8; 1024],
     }
     let mesh = soup();
-    let part = PartBox::new(&mesh);
+    let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(&mesh, &part, 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, WIDTH as u64);
     let (valid, ray, _) = Tree::pack(&rays, &part);
@@ -75,7 +75,7 @@ fn an_error_of_embree_becomes_an_error() {
 #[test]
 fn other_instructions_meet_the_same_triangles() {
     let mesh = soup();
-    let part = PartBox::new(&mesh);
+    let part = PartBox::new(mesh.bounds());
     let rays = rays_at(&mesh, 20_000);
     let met = |settings: &str| {
         let device = Device::configured(settings).unwrap();

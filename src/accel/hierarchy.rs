@@ -1,12 +1,12 @@
-//! The hierarchy over a mesh as the rest of the program sees it: a backend finds
-//! the triangle, and what is done in f64 around it is the same for all backends.
+//! The hierarchy over a mesh: a backend finds the triangle, and what is done in f64
+//! around it is the same for all backends.
 
 #[cfg(feature = "embree")]
 use super::astray::{self, Backs};
 #[cfg(feature = "embree")]
 use super::embree;
 use super::refine::{Tolerance, nearest_on_triangle, refine};
-use super::{Hit, Nearest, Ray, WIDTH, rust_bvh};
+use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::{Mesh, Watch, memory};
@@ -56,7 +56,7 @@ impl Backend {
     }
 }
 
-/// The box around a mesh, and what f32 relative to its middle is good for.
+/// The box around a mesh or an assembly, and what f32 relative to its middle is good for.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PartBox {
     pub bounds: Aabb,
@@ -73,20 +73,24 @@ pub(super) struct Inside {
 }
 
 impl PartBox {
-    pub fn new(mesh: &Mesh) -> PartBox {
-        let bounds = mesh.bounds();
+    pub fn new(bounds: Aabb) -> PartBox {
         PartBox {
             bounds,
             center: bounds.center(),
         }
     }
 
-    /// See [`Accel::resolution`].
+    /// See [`super::Accel::resolution`].
     pub fn resolution(&self) -> f64 {
         (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
     }
 
-    /// See [`Accel::refinement`].
+    /// See [`super::Accel::overshoot`].
+    pub fn overshoot(&self) -> f64 {
+        self.resolution() * 256.0
+    }
+
+    /// See [`super::Accel::refinement`].
     pub fn refinement(&self) -> f64 {
         self.bounds.size().length() * 1e-3
     }
@@ -137,32 +141,25 @@ enum Tree<'m> {
     Rust(rust_bvh::Tree<'m>),
 }
 
-/// Bounding-volume hierarchy over one mesh.
-pub struct Accel<'m> {
+/// Bounding-volume hierarchy over one mesh, in the mesh's own frame.
+pub(super) struct Hierarchy<'m> {
     mesh: &'m Mesh,
     part: PartBox,
     tree: Tree<'m>,
 }
 
-impl<'m> Accel<'m> {
-    /// [`Self::build_with`] the default backend: Embree if it is built in.
-    pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
-        Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
-    }
-
-    /// Builds the hierarchy; Embree with `threads` threads, Rust with those of
-    /// rayon's pool and without a word to `watch` before the end. Errors:
-    /// `Error::Memory` if there is too little; what Embree reports; `watch`'s.
-    pub fn build_with(
+impl<'m> Hierarchy<'m> {
+    /// See [`super::Accel::build_with`].
+    pub fn build(
         backend: Backend,
         mesh: &'m Mesh,
         threads: usize,
         watch: &Watch,
-    ) -> Result<Accel<'m>> {
+    ) -> Result<Hierarchy<'m>> {
         let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
         let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
         memory::require(work, count * bytes, memory::available())?;
-        let part = PartBox::new(mesh);
+        let part = PartBox::new(mesh.bounds());
         #[cfg(not(feature = "embree"))]
         let _ = threads;
         let tree = match backend {
@@ -171,49 +168,26 @@ impl<'m> Accel<'m> {
             Backend::Rust => Tree::Rust(rust_bvh::Tree::build(mesh, &part)),
         };
         watch(1.0)?;
-        Ok(Accel { mesh, part, tree })
+        Ok(Hierarchy { mesh, part, tree })
     }
 
     pub fn mesh(&self) -> &'m Mesh {
         self.mesh
     }
 
-    pub fn bounds(&self) -> Aabb {
-        self.part.bounds
+    pub fn part(&self) -> &PartBox {
+        &self.part
     }
 
-    /// A length (mm) that f32 cannot resolve on this mesh: 2⁻²⁰ of the largest
-    /// coordinate, eight roundings of a vertex. Shadow rays start this far off
-    /// their surface.
-    pub fn resolution(&self) -> f64 {
-        self.part.resolution()
-    }
-
-    /// No hit's point is further than this from its triangle, mm. f32 may pass a
-    /// ray some 60 roundings (2⁻¹⁸ of the half size) beside a triangle, and on a
-    /// plane seen at an angle θ from edge-on that is 1/sin θ times as far: down to
-    /// 1° nothing is lost, and below only what lies beside an edge.
-    pub fn overshoot(&self) -> f64 {
-        self.resolution() * 256.0
-    }
-
-    /// Greatest difference between the distance the backend finds and the one that
-    /// is taken after refinement, mm.
-    pub fn refinement(&self) -> f64 {
-        self.part.refinement()
-    }
-
-    /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
-    /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
-    /// distance; else as if nothing were hit.
+    /// See [`super::Accel::closest`].
     pub fn closest(
         &self,
         rays: &[Ray],
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
         let tolerance = Tolerance {
-            along: self.refinement(),
-            beside: self.overshoot(),
+            along: self.part.refinement(),
+            beside: self.part.overshoot(),
         };
         let mut hits = [None; WIDTH];
         let found = |i: usize, triangle: u32, t: f64| {
@@ -241,7 +215,7 @@ impl<'m> Accel<'m> {
         hits
     }
 
-    /// Whether each of up to 16 coherent rays meets anything, as bits.
+    /// See [`super::Accel::occluded`].
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
         match &self.tree {
             #[cfg(feature = "embree")]
@@ -250,26 +224,23 @@ impl<'m> Accel<'m> {
         }
     }
 
-    /// The point of the mesh nearest to `p`, in f64; of several, that of the first
-    /// triangle. A triangle close to `p`, if one is known, makes the search shorter.
-    pub fn nearest(&self, p: DVec3, close: Option<u32>) -> Nearest {
-        let mut best = Nearest {
-            triangle: u32::MAX,
-            point: p,
-            distance: f64::INFINITY,
-        };
-        if let Some(triangle) = close {
-            let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
-            best = Nearest {
-                triangle,
-                point,
-                distance: point.distance(p),
-            };
-        }
+    /// The point of the mesh nearest to `p`, if it is nearer than `best`; of several,
+    /// that of the first triangle.
+    pub fn nearest(&self, p: DVec3, best: Nearest) -> Nearest {
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => tree.nearest(p, &self.part, best),
             Tree::Rust(tree) => tree.nearest(p, &self.part, best),
+        }
+    }
+
+    /// Its point nearest to `p` on one triangle.
+    pub fn nearest_on(&self, triangle: u32, p: DVec3) -> Nearest {
+        let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
+        Nearest {
+            face: Face::of_mesh(triangle),
+            point,
+            distance: point.distance(p),
         }
     }
 }

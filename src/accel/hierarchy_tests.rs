@@ -1,5 +1,6 @@
 //! Each backend against brute force, and the backends against each other.
 
+use super::super::Accel;
 use super::super::brute;
 use super::*;
 use crate::error::Error;
@@ -65,7 +66,7 @@ fn closest_hits_agree_with_brute_force() {
                 let truth = brute::closest(&mesh, ray);
                 match (truth, found) {
                     (None, None) => {}
-                    (Some(a), Some(b)) if a.triangle == b.triangle => {
+                    (Some(a), Some(b)) if a.face == b.face => {
                         hits += 1;
                         // Distances of ~200 mm and coordinates of ~4000 mm round at
                         // 1e-12; seen at an angle that is multiplied by 1/cos.
@@ -125,8 +126,8 @@ fn nearest_points_agree_with_brute_force() {
             assert_eq!(found.distance, truth.distance, "{p}");
             // Whatever triangle it starts from, it ends at the same.
             let last = mesh.triangles.len() as u32 - 1;
-            for close in [0, last / 2, last, found.triangle] {
-                assert_eq!(accel.nearest(p, Some(close)), found, "{p}");
+            for close in [0, last / 2, last, found.face.triangle] {
+                assert_eq!(accel.nearest(p, Some(Face::of_mesh(close))), found, "{p}");
             }
         }
     }
@@ -235,7 +236,7 @@ fn a_hundred_thousand_equal_triangles_are_one() {
             t_max: 10.0,
         };
         assert_eq!(accel.closest(&[ray], |_, _| true)[0].unwrap().t, 5.0);
-        assert_eq!(accel.nearest(DVec3::Z, None).triangle, 0);
+        assert_eq!(accel.nearest(DVec3::Z, None).face.triangle, 0);
     }
 }
 

@@ -2,10 +2,12 @@
 //! the point on it in f64; `brute` is the slow oracle they are tested against.
 //! Everything here is in the part's own frame (mm).
 
+mod assembly;
 #[cfg(feature = "embree")]
 mod astray;
 pub mod brute;
 mod clusters;
+mod copies;
 #[cfg(feature = "embree")]
 mod embree;
 #[cfg(feature = "race")]
@@ -14,8 +16,9 @@ mod hierarchy;
 mod refine;
 mod rust_bvh;
 
+pub use assembly::Accel;
 pub use clusters::{Clusters, Found, HalfSpace};
-pub use hierarchy::{Accel, Backend};
+pub use hierarchy::Backend;
 pub use refine::{Tolerance, facing_normal, refine};
 
 use crate::math::DVec3;
@@ -44,21 +47,37 @@ impl Ray {
     }
 }
 
-/// Where a ray meets the mesh.
+/// A triangle of the part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Face {
+    /// Which copy of the mesh, in the order of their poses.
+    pub copy: u32,
+    /// Which triangle of the mesh.
+    pub triangle: u32,
+}
+
+impl Face {
+    /// A triangle of a mesh that is the part, or of its first copy.
+    pub fn of_mesh(triangle: u32) -> Face {
+        Face { copy: 0, triangle }
+    }
+}
+
+/// Where a ray meets the part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// Distance along the ray, mm.
     pub t: f64,
-    pub triangle: u32,
+    pub face: Face,
     pub point: DVec3,
     /// Unit normal of the triangle, on the side the ray came from.
     pub normal: DVec3,
 }
 
-/// The point of the mesh nearest to a query point.
+/// The point of the part nearest to a query point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
-    pub triangle: u32,
+    pub face: Face,
     pub point: DVec3,
     /// Distance from the query point, mm.
     pub distance: f64,

@@ -1,6 +1,6 @@
 //! What Embree found in f32, computed again in f64 with the f64 vertices.
 
-use super::{Hit, Ray};
+use super::{Face, Hit, Ray};
 use crate::math::DVec3;
 
 /// Unit normal of a triangle on the side towards which `-direction` points;
@@ -53,7 +53,7 @@ pub fn refine(
         || nearest_on_triangle(corners, point).distance(point) <= tolerance.beside;
     on_triangle.then_some(Hit {
         t,
-        triangle,
+        face: Face::of_mesh(triangle),
         point,
         normal,
     })
@@ -217,7 +217,7 @@ mod tests {
             t_max: 10.0,
         };
         let hit = refine(&ray, 4, T, 1.5, TOLERANCE).unwrap();
-        assert_eq!((hit.t, hit.triangle), (1.5, 4));
+        assert_eq!((hit.t, hit.face.triangle), (1.5, 4));
         assert!(hit.point.is_finite() && hit.normal.is_finite());
     }
 

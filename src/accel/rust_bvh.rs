@@ -5,7 +5,7 @@
 
 use super::hierarchy::PartBox;
 use super::refine::nearest_on_triangle;
-use super::{Nearest, Ray};
+use super::{Face, Nearest, Ray};
 use crate::math::DVec3;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::Mesh;
@@ -114,34 +114,45 @@ impl Sheared {
     }
 }
 
+/// The tree over boxes around so many sets of points, those of each relative to the
+/// middle of the part. A ray that meets a set in f64 meets its box in f32.
+pub(super) fn tree_over<const N: usize>(
+    count: usize,
+    points: impl Fn(usize) -> [Vec3A; N] + Sync,
+    part: &PartBox,
+    parameters: BvhBuildParams,
+) -> Bvh2 {
+    // f32 meets the planes of a box to within 15 roundings (2⁻²⁴) of the half
+    // size: one each of the plane and of the origin, two each, since they are of
+    // the whole size, of difference, reciprocal and product, and seven for the
+    // direction, which is kept 2⁻²³ off zero.
+    // Each face has a little more of its own: from many boxes that are the same,
+    // obvhs's builder makes a chain, in quadratic time.
+    let padding = 2.0 * part.resolution();
+    let key = Key::new(0, Purpose::BoxPadding);
+    let boxes: Vec<Aabb> = (0..count)
+        .into_par_iter()
+        .map(|i| {
+            let tight = Aabb::from_points(&points(i));
+            let key = key.with(i as u64);
+            let pad = |k: u64| (padding * (1.0 + key.uniform(k))) as f32;
+            Aabb::new(
+                tight.min - Vec3A::new(pad(0), pad(1), pad(2)),
+                tight.max + Vec3A::new(pad(3), pad(4), pad(5)),
+            )
+        })
+        .collect();
+    build_bvh2(&boxes, parameters, &mut Default::default())
+}
+
 /// Bytes a triangle takes while the tree is built.
 pub(super) const BUILD: u64 = 200;
 
 impl<'m> Tree<'m> {
     pub(super) fn build(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
-        // f32 meets the planes of a box to within 15 roundings (2⁻²⁴) of the half
-        // size: one each of the plane and of the origin, two each, since they are of
-        // the whole size, of difference, reciprocal and product, and seven for the
-        // direction, which obvhs keeps 2⁻²³ off zero.
-        // Each face has a little more of its own: from many boxes that are the same,
-        // obvhs's builder makes a chain, in quadratic time.
-        let padding = 2.0 * part.resolution();
-        let key = Key::new(0, Purpose::BoxPadding);
-        let boxes: Vec<Aabb> = (0..mesh.triangles.len())
-            .into_par_iter()
-            .map(|i| {
-                let corners = mesh.triangle(i).map(|p| (p - part.center).as_vec3a());
-                let tight = Aabb::from_points(&corners);
-                let key = key.with(i as u64);
-                let pad = |k: u64| (padding * (1.0 + key.uniform(k))) as f32;
-                Aabb::new(
-                    tight.min - Vec3A::new(pad(0), pad(1), pad(2)),
-                    tight.max + Vec3A::new(pad(3), pad(4), pad(5)),
-                )
-            })
-            .collect();
+        let corners = |i| mesh.triangle(i).map(|p| (p - part.center).as_vec3a());
         let medium = BvhBuildParams::medium_build();
-        let mut bvh = build_bvh2(&boxes, medium, &mut Default::default());
+        let mut bvh = tree_over(mesh.triangles.len(), corners, part, medium);
         // A stack that is too short would drop nodes without a word.
         bvh.max_depth = (bvh.depth(0) + 1).max(DEFAULT_MAX_STACK_DEPTH);
         bvh.nodes.shrink_to_fit();
@@ -230,9 +241,9 @@ impl<'m> Tree<'m> {
                 let triangle = self.bvh.primitive_indices[place as usize];
                 let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
                 let distance = point.distance(p);
-                if (distance, triangle) < (best.distance, best.triangle) {
+                if (distance, triangle) < (best.distance, best.face.triangle) {
                     best = Nearest {
-                        triangle,
+                        face: Face::of_mesh(triangle),
                         point,
                         distance,
                     };

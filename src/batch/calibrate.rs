@@ -98,8 +98,8 @@ pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<Cali
         files::remove(file)?;
     }
     scene.mesh = shapes::plane(DVec2::splat(4.0 * width)).expect("a field has a width");
-    scene.calibration = None;
-    scene.scan = ScanPath::at_rest();
+    scene.copies = vec![Rigid::IDENTITY];
+    (scene.calibration, scene.scan) = (None, ScanPath::at_rest());
     for (i, target) in targets.iter().enumerate() {
         control.check()?;
         scene.part_at_rest = *target;

@@ -68,10 +68,10 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 }
 
 /// Writes an EXR of `size` (columns, rows) with these channels.
-pub fn write_exr<const N: usize>(
+pub fn write_exr<'a>(
     path: &Path,
     size: (usize, usize),
-    channels: [(&str, FlatSamples); N],
+    channels: impl IntoIterator<Item = (&'a str, FlatSamples)>,
 ) -> Result<()> {
     let channels = channels
         .into_iter()

@@ -42,7 +42,7 @@ pub fn render(
     let exr_path = png.with_extension("exr");
     files::write_bytes(&png, &encode_counts(&counts, resolution.x as usize))?;
     let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
-    let channels = [
+    let mut channels = vec![
         ("irradiance", FlatSamples::F32(irradiance.dense())),
         ("depth", FlatSamples::F32(truth.depth)),
         ("position.X", component(&truth.position, 0)),
@@ -53,6 +53,9 @@ pub fn render(
         ("normal.Z", component(&truth.normal, 2)),
         ("triangle", FlatSamples::U32(truth.triangle)),
     ];
+    if scene.copies.len() > 1 {
+        channels.push(("copy", FlatSamples::U32(truth.copy)));
+    }
     let size = (resolution.x as usize, resolution.y as usize);
     files::write_exr(&exr_path, size, channels)?;
     Ok(RenderSummary {

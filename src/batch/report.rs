@@ -82,11 +82,16 @@ impl Shown<'_> {
     fn facts(&self) -> Vec<(&'static str, String)> {
         let scene = self.simulation.scene;
         let plan = &self.simulation.plan;
+        let part = format!("{} triangles", scene.mesh.triangles.len());
+        let part = match scene.copies.len() {
+            1 => part,
+            copies => format!("{copies} copies of {part}"),
+        };
         let [across, along] = [self.poses.first(), self.poses.last()]
             .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
         vec![
             ("scene", scene.path.display().to_string()),
-            ("part", format!("{} triangles", scene.mesh.triangles.len())),
+            ("part", part),
             (
                 "frames",
                 format!(

@@ -46,7 +46,7 @@ const DARK_GROUPS: usize = 4096;
 /// Builds the hierarchy a scene asks for; `watch` hears how far that is.
 pub(super) fn hierarchy<'s>(scene: &'s Scene, watch: &Watch) -> Result<Accel<'s>> {
     let threads = rayon::current_num_threads();
-    Accel::build_with(scene.accel, &scene.mesh, threads, watch)
+    Accel::build_with(scene.accel, &scene.mesh, threads, watch)?.with_copies(&scene.copies)
 }
 
 impl<'s> Simulation<'s> {
@@ -222,7 +222,7 @@ fn camera_from_laser(scene: &Scene) -> Rigid {
 /// other.
 pub fn plan(scene: &Scene) -> Plan {
     let scan = &scene.scan;
-    let corners = scene.mesh.bounds().corners();
+    let corners = scene.bounds().corners();
     let places = match scan.motion {
         Motion::Linear { .. } => 1,
         _ => 9,

@@ -248,6 +248,7 @@ impl<'s> Tiers<'s> {
         }
         let threads = rayon::current_num_threads();
         let accel = Accel::build_with(Backend::Rust, &self.scene.mesh, threads, &|_| Ok(()))?;
+        let accel = accel.with_copies(&self.scene.copies)?;
         let embree = std::mem::replace(&mut self.accel, Arc::new(accel));
         let tier = self.add("hierarchy in Rust", base.clone(), Coverage::Footprint)?;
         tier.accel = Backend::Rust;

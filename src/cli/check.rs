@@ -33,7 +33,19 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 
 fn text(check: &Check) -> String {
     let resolved = serde_json::to_string_pretty(check.scene).expect("a scene is JSON");
-    let mut text = format!("scene\n{resolved}\n\nmesh\n{}\n\nplan\n", check.mesh);
+    let mut text = format!("scene\n{resolved}\n\nmesh\n{}", check.mesh);
+    if check.scene.copies.len() > 1 {
+        let size = check.scene.bounds().size();
+        let _ = write!(
+            text,
+            "\ncopies              {}, together in a box of {} × {} × {} mm",
+            check.scene.copies.len(),
+            short(size.x),
+            short(size.y),
+            short(size.z)
+        );
+    }
+    text.push_str("\n\nplan\n");
     for effect in &check.plan.effects {
         let modelled = if effect.modelled {
             "modelled"

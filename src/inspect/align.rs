@@ -97,7 +97,7 @@ impl System {
                 for &p in chunk {
                     let p = moved.point(p);
                     let nearest = accel.nearest(p, None);
-                    let [a, b, c] = accel.mesh().triangle(nearest.triangle as usize);
+                    let [a, b, c] = accel.corners(nearest.face);
                     let Some(normal) = (b - a).cross(c - a).try_normalize() else {
                         continue;
                     };

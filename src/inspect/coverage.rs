@@ -57,7 +57,7 @@ pub struct Scanned<'a> {
 /// Area of the CAD by fate.
 #[derive(Debug, Clone, Serialize)]
 pub struct SurfaceCoverage {
-    /// Of the whole mesh, inside faces too, mm².
+    /// Of all of the part, inside faces too, mm².
     pub area_mm2: f64,
     /// Share of the area for each fate; their sum is 1.
     pub shares: Vec<(Fate, f64)>,
@@ -75,7 +75,7 @@ const FEWEST_SAMPLES: usize = 2_000;
 /// Samples times frames: what a few seconds of one core can look at.
 const MOST_LOOKS: usize = 400_000_000;
 
-/// Looks at places spread evenly over the mesh. `None` for a mesh without area.
+/// Looks at places spread evenly over the part. `None` for one without area.
 pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
     let wanted = MOST_LOOKS / scanned.poses.len().max(1);
     let places = spread(scanned.accel, wanted.clamp(FEWEST_SAMPLES, MOST_SAMPLES))?;
@@ -110,41 +110,61 @@ pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
 
 struct Places {
     area: f64,
-    /// A point and the unit normal of its triangle.
+    /// A point and the unit normal of its triangle, as that is wound.
     points: Vec<(DVec3, DVec3)>,
 }
 
-/// `n` points at equal steps of area along the mesh's triangles, and in each at
-/// the next place of a low-discrepancy sequence (Roberts 2018).
+/// `n` points at equal steps of area along the part's triangles, copy by copy, and in
+/// each at the next place of a low-discrepancy sequence (Roberts 2018).
 fn spread(accel: &Accel, n: usize) -> Option<Places> {
     let mesh = accel.mesh();
     let triangles = || (0..mesh.triangles.len()).map(|t| mesh.triangle(t));
     let doubled = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
-    let area: f64 = triangles().map(|t| doubled(t).length() / 2.0).sum();
+    let area_of_mesh: f64 = triangles().map(|t| doubled(t).length() / 2.0).sum();
+    let area = area_of_mesh * accel.poses().len() as f64;
     if area.is_nan() || area <= 0.0 {
         return None;
     }
+    // Area passed within a copy, the copy, and the point's number: in the order of the
+    // first, the triangles are gone through once for all copies.
+    let mut steps = Vec::with_capacity(n);
+    let (mut copy, mut next) = (0, 0.5 * area / n as f64);
+    for i in 0..n {
+        while next >= area_of_mesh && copy + 1 < accel.poses().len() {
+            next -= area_of_mesh;
+            copy += 1;
+        }
+        steps.push((next, copy, i));
+        next += area / n as f64;
+    }
+    steps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut steps = steps.into_iter().peekable();
     let mut points = Vec::with_capacity(n);
-    let (mut passed, mut next) = (0.0, 0.5 * area / n as f64);
+    let mut passed = 0.0;
     for [a, b, c] in triangles() {
         let normal = doubled([a, b, c]);
         passed += normal.length() / 2.0;
-        while next < passed && points.len() < n {
-            let i = points.len() as f64;
+        while let Some((_, copy, i)) = steps.next_if(|&(next, _, _)| next < passed) {
             let (u, v) = (
-                (0.754_877_666_246_693 * i).fract(),
-                (0.569_840_290_998_053 * i).fract(),
+                (0.754_877_666_246_693 * i as f64).fract(),
+                (0.569_840_290_998_053 * i as f64).fract(),
             );
             let (u, v) = if u + v > 1.0 {
                 (1.0 - u, 1.0 - v)
             } else {
                 (u, v)
             };
-            points.push((a + (b - a) * u + (c - a) * v, normal.normalize_or_zero()));
-            next += area / n as f64;
+            let pose = &accel.poses()[copy];
+            let point = pose.point(a + (b - a) * u + (c - a) * v);
+            points.push((i, point, pose.vector(normal.normalize_or_zero())));
         }
     }
-    Some(Places { area, points })
+    points.sort_by_key(|&(i, _, _)| i);
+    let points = points.into_iter().map(|(_, p, normal)| (p, normal));
+    Some(Places {
+        area,
+        points: points.collect(),
+    })
 }
 
 impl Scanned<'_> {

@@ -1,10 +1,10 @@
 //! How far measured points lie from the CAD surface.
 
-use crate::accel::{Accel, facing_normal};
+use crate::accel::{Accel, Face, facing_normal};
 use crate::math::DVec3;
 use serde::Serialize;
 
-/// Signed distance (mm) from `point` to the nearest point of the mesh, positive
+/// Signed distance (mm) from `point` to the nearest point of the part, positive
 /// on the side from which `eye` sees the surface there (a mesh's own winding
 /// need not be right), and the unit normal there on that side: along it an error of
 /// the point is one of the distance. `close`: a triangle close to the point, if one
@@ -13,11 +13,11 @@ pub fn signed_distance(
     accel: &Accel,
     point: DVec3,
     eye: DVec3,
-    close: &mut Option<u32>,
+    close: &mut Option<Face>,
 ) -> (f64, DVec3) {
     let nearest = accel.nearest(point, *close);
-    *close = Some(nearest.triangle);
-    let corners = accel.mesh().triangle(nearest.triangle as usize);
+    *close = Some(nearest.face);
+    let corners = accel.corners(nearest.face);
     let outward = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
     let sign = match outward.dot(point - nearest.point) < 0.0 {
         true => -1.0,

@@ -40,9 +40,10 @@ pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixe
     for borders in beam {
         volume.clear();
         volume.extend(borders.iter().chain(&frustum).map(|h| h.widened(margin)));
-        clusters.touching(&volume, detail, |found| match found {
-            Found::Triangle { index, crossed } => {
-                let mut polygon = Polygon::new(view.accel.mesh().triangle(index as usize));
+        let accel = view.accel;
+        accel.touching(clusters, &volume, detail, |found| match found {
+            Found::Triangle { face, crossed } => {
+                let mut polygon = Polygon::new(accel.corners(face));
                 for (i, half) in volume.iter().enumerate() {
                     if crossed >> i & 1 == 1 {
                         polygon.cut(half);
@@ -59,16 +60,13 @@ pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixe
 /// How far Q may be from P: the overshoot, and the rounding of f64 in coordinates
 /// that run up to the largest in play (some 2⁻⁵⁰ of it, taken 16 times).
 fn margin(view: &View) -> f64 {
-    let bounds = view.accel.bounds();
     let largest = [
-        bounds.min,
-        bounds.max,
         view.part_from_camera.translation,
         view.part_from_laser.translation,
     ]
     .map(|p| p.abs().max_element())
     .into_iter()
-    .fold(0.0, f64::max);
+    .fold(view.accel.largest_coordinate(), f64::max);
     view.accel.overshoot() + largest * 2f64.powi(-46)
 }
 

@@ -110,7 +110,8 @@ impl Sheet {
                     ends: [a, b],
                     rounds: 0,
                 });
-                if targets.len() == WIDTH {
+                // One round may settle none.
+                while targets.len() == WIDTH {
                     frame.settle(&mut targets, &mut columns);
                 }
                 column += 1.0;
@@ -164,7 +165,7 @@ impl Target {
     /// rays met.
     fn on_triangle(&self) -> Option<Hit> {
         let [a, b] = self.ends.map(|end| end.hit);
-        (a.triangle == b.triangle).then(|| Hit {
+        (a.face == b.face).then(|| Hit {
             point: a.point.lerp(b.point, self.share()),
             ..a
         })

@@ -7,13 +7,16 @@ use crate::math::DVec2;
 use rayon::prelude::*;
 
 /// One value a pixel, row by row; in the part's frame, mm. A pixel that sees
-/// nothing has depth +∞, zero position and normal, and triangle `u32::MAX`.
+/// nothing has depth +∞, zero position and normal, and triangle and copy `u32::MAX`.
 pub struct Truth {
     /// Distance from the pupil centre along the camera's axis.
     pub depth: Vec<f32>,
     pub position: Vec<[f32; 3]>,
     pub normal: Vec<[f32; 3]>,
+    /// Of the mesh.
     pub triangle: Vec<u32>,
+    /// Of the mesh, in the order of their poses.
+    pub copy: Vec<u32>,
 }
 
 pub fn truth_layers(view: &View) -> Truth {
@@ -48,6 +51,10 @@ pub fn truth_layers(view: &View) -> Truth {
             })
             .collect()
     };
+    let number = |of: fn(&Hit) -> u32| {
+        let numbers = hits.iter().map(|hit| hit.as_ref().map_or(u32::MAX, of));
+        numbers.collect()
+    };
     Truth {
         depth: hits
             .iter()
@@ -55,9 +62,7 @@ pub fn truth_layers(view: &View) -> Truth {
             .collect(),
         position: vector(|hit| hit.point),
         normal: vector(|hit| hit.normal),
-        triangle: hits
-            .iter()
-            .map(|hit| hit.map_or(u32::MAX, |h| h.triangle))
-            .collect(),
+        triangle: number(|hit| hit.face.triangle),
+        copy: number(|hit| hit.face.copy),
     }
 }

@@ -30,6 +30,16 @@ impl Aabb {
         Aabb { min, max }
     }
 
+    /// The smallest around both.
+    pub fn with(&self, other: &Aabb) -> Aabb {
+        Aabb::new(self.min.min(other.min), self.max.max(other.max))
+    }
+
+    /// The smallest around this one moved.
+    pub fn moved(&self, pose: &Rigid) -> Aabb {
+        Aabb::of(self.corners().map(|corner| pose.point(corner)))
+    }
+
     pub fn center(&self) -> DVec3 {
         (self.min + self.max) / 2.0
     }

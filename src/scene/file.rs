@@ -58,6 +58,10 @@ pub struct PartTable {
     pub sphere: Option<SphereTable>,
     pub cylinder: Option<CylinderTable>,
     pub step_block: Option<StepBlockTable>,
+    /// The part as an assembly of copies of its shape, each at a pose of its own in the
+    /// part's frame: a CSV file of one line a copy, written as that of scan.poses; path
+    /// relative to the scene file. Default: one copy, unmoved.
+    pub copies: Option<String>,
     /// Share of light reflected, diffusely (Lambert), 0 to 1.
     pub reflectance: f64,
     /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal);

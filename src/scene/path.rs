@@ -8,7 +8,7 @@ use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The way of the moving body through the world: in frame k it stands at
 /// motion(k) · its pose at rest.
@@ -153,7 +153,9 @@ impl Resolver<'_> {
             (None, Some(file)) => {
                 let absent = table.frames.is_none();
                 self.check(absent, "scan.frames", "no such key beside scan.poses")?;
-                self.poses(file)?
+                let (file, poses, hash) = self.poses(file, "scan.poses")?;
+                let frames = poses.len() as u32;
+                (Motion::Poses { file, poses }, frames, hash)
             }
             (Some(_), Some(_)) => {
                 let expected = "exactly one of step_mm with direction, rotary, and poses";
@@ -211,17 +213,18 @@ impl Resolver<'_> {
         })
     }
 
-    fn poses(&self, file: &str) -> Result<(Motion, u32, Vec<u8>)> {
-        let file = self.path.parent().unwrap_or(Path::new("")).join(file);
+    /// The poses of the file that `key` names, where it is, and the bytes that stand for
+    /// it in the hash.
+    pub(super) fn poses(&self, file: &str, key: &str) -> Result<(PathBuf, Vec<Rigid>, Vec<u8>)> {
+        let file = self.beside(file);
         if !file.is_file() {
             let expected = format!("a CSV file of poses; there is none at {}", file.display());
-            return Err(self.source.wrong("scan.poses", &expected));
+            return Err(self.source.wrong(key, &expected));
         }
         let bytes = std::fs::read(&file).map_err(crate::error::Error::io("read", &file))?;
         let poses = poses::parse(&file, &bytes)?;
-        let frames = poses.len() as u32;
         let hash = Sha256::digest(&bytes).to_vec();
-        Ok((Motion::Poses { file, poses }, frames, hash))
+        Ok((file, poses, hash))
     }
 
     fn exposure(&self, table: &ScanTable, exposure_ms: f64) -> Result<(Option<f64>, u32)> {

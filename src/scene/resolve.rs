@@ -8,7 +8,7 @@ use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::laser::Laser;
-use crate::math::{DVec3, Rigid};
+use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::{self, Mesh, Watch, shapes};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
@@ -52,6 +52,10 @@ pub struct Scene {
     pub methods: PlanTable,
     #[serde(skip)]
     pub mesh: Mesh,
+    /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
+    /// as their number.
+    #[serde(serialize_with = "number")]
+    pub copies: Vec<Rigid>,
     pub surface: Lambert,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
@@ -84,6 +88,13 @@ impl Scene {
         resolver.scene(file)
     }
 
+    /// A box around the part, in its frame.
+    pub fn bounds(&self) -> Aabb {
+        let mesh = self.mesh.bounds();
+        let copies = self.copies.iter().map(|pose| mesh.moved(pose));
+        copies.fold(Aabb::EMPTY, |all, one| all.with(&one))
+    }
+
     /// Pose of the head in a frame.
     pub fn world_from_head(&self, frame: u32) -> Rigid {
         self.scan.world_from_head(frame as f64)
@@ -103,6 +114,13 @@ impl Scene {
         let part = self.scan.world_from_part(place, &self.part_at_rest);
         part.inverse() * self.scan.world_from_head(place)
     }
+}
+
+fn number<S: serde::Serializer>(
+    copies: &[Rigid],
+    serializer: S,
+) -> std::result::Result<S::Ok, S::Error> {
+    serializer.serialize_u64(copies.len() as u64)
 }
 
 pub(super) struct Resolver<'a> {
@@ -150,6 +168,13 @@ impl Resolver<'_> {
 
     fn scene(self, file: SceneFile) -> Result<Scene> {
         let (mesh, mesh_hash) = self.mesh(&file.part)?;
+        let (copies, copies_hash) = match &file.part.copies {
+            None => (vec![Rigid::IDENTITY], Vec::new()),
+            Some(file) => {
+                let (_, poses, hash) = self.poses(file, "part.copies")?;
+                (poses, hash)
+            }
+        };
         let reflectance = file.part.reflectance;
         self.check(
             (0.0..=1.0).contains(&reflectance),
@@ -181,6 +206,7 @@ impl Resolver<'_> {
         let mut hash = Sha256::new();
         hash.update(self.source.text());
         hash.update(mesh_hash);
+        hash.update(copies_hash);
         hash.update(poses_hash);
         hash.update(calibration_hash);
         Ok(Scene {
@@ -193,6 +219,7 @@ impl Resolver<'_> {
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
             mesh,
+            copies,
             surface: Lambert { reflectance },
             part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
             laser,
@@ -236,7 +263,7 @@ impl Resolver<'_> {
     }
 
     /// A path relative to the scene file.
-    fn beside(&self, name: &str) -> PathBuf {
+    pub(super) fn beside(&self, name: &str) -> PathBuf {
         self.path.parent().unwrap_or(Path::new("")).join(name)
     }
 

@@ -1,0 +1,249 @@
+//! Copies of one mesh, each at its pose, in a tree over their boxes. A copy is traced
+//! in its own frame, so what f32 and f64 are good for there is what they are good for
+//! in a part alone, however far the copies lie apart. (Embree's instances are not:
+//! they are entered with f32 rays relative to one middle of all.)
+
+use super::clusters::HalfSpace;
+use super::hierarchy::PartBox;
+use super::rust_bvh::tree_over;
+use super::{Ray, WIDTH};
+use crate::math::{Aabb, DVec3, Rigid};
+use obvhs::BvhBuildParams;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::node::Bvh2Node;
+use smallvec::SmallVec;
+use wide::f32x8;
+
+/// Bytes a copy takes while the tree is built, beside its pose: 201 measured.
+pub(super) const BUILD: u64 = 220;
+
+pub(super) struct Copies<'m> {
+    /// part_from_copy.
+    poses: &'m [Rigid],
+    /// With one copy a leaf.
+    tree: Bvh2,
+    part: PartBox,
+    largest_translation: f64,
+}
+
+/// What is below a node of the tree.
+enum Below {
+    Copy(u32),
+    Nodes([u32; 2]),
+}
+
+/// Of nodes still to be visited, only a strange tree keeps more.
+type Stack<T> = SmallVec<[T; 64]>;
+
+/// Up to 16 rays as boxes see them, relative to the middle of the part.
+pub(super) struct Packet {
+    origin: [[f32; WIDTH]; 3],
+    inverse: [[f32; WIDTH]; 3],
+    /// Distances by which origins were advanced, mm.
+    advanced: [f64; WIDTH],
+    /// How far from there each ray looks, mm; negative: not at all.
+    reach: [f32; WIDTH],
+    /// By how much a ray looks further than it is told to: rounding must not cut off
+    /// a nearer hit.
+    slack: f64,
+}
+
+impl Packet {
+    fn new(rays: &[Ray], part: &PartBox) -> Packet {
+        assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
+        let mut packet = Packet {
+            origin: [[0.0; WIDTH]; 3],
+            inverse: [[1.0; WIDTH]; 3],
+            advanced: [0.0; WIDTH],
+            reach: [-1.0; WIDTH],
+            slack: part.resolution(),
+        };
+        for (i, ray) in rays.iter().enumerate() {
+            let Some(inside) = part.inside(ray) else {
+                continue;
+            };
+            // Not NaN at a face that the ray runs along.
+            let steps = ray.direction.as_vec3().to_array();
+            let steps = steps.map(|d| d.abs().max(f32::EPSILON).copysign(d));
+            for (axis, step) in steps.into_iter().enumerate() {
+                packet.origin[axis][i] = inside.origin[axis];
+                packet.inverse[axis][i] = 1.0 / step;
+            }
+            packet.advanced[i] = inside.advanced;
+            packet.reach[i] = (inside.length + packet.slack) as f32;
+        }
+        packet
+    }
+
+    /// A ray is to look no further than `t` mm from its origin.
+    pub fn shorten(&mut self, ray: usize, t: f64) {
+        let reach = (t - self.advanced[ray] + self.slack) as f32;
+        self.reach[ray] = self.reach[ray].min(reach);
+    }
+
+    /// A ray is to look no further at all.
+    pub fn end(&mut self, ray: usize) {
+        self.reach[ray] = -1.0;
+    }
+
+    /// Which rays look as far as this, as bits.
+    fn beyond(&self, distance: f32) -> u16 {
+        let distance = f32x8::splat(distance);
+        let far = |part| eight(&self.reach, part).simd_ge(distance).to_bitmask() as u16;
+        far(0) | far(1) << 8
+    }
+
+    /// Which rays meet a box, as bits, and the least distance at which one enters it.
+    fn meets(&self, node: &Bvh2Node) -> (u16, f32) {
+        let mut met = 0;
+        let mut least = f32x8::splat(f32::INFINITY);
+        for part in 0..2 {
+            let (mut enter, mut leave) = (f32x8::ZERO, eight(&self.reach, part));
+            for axis in 0..3 {
+                let origin = eight(&self.origin[axis], part);
+                let inverse = eight(&self.inverse[axis], part);
+                let a = (f32x8::splat(node.min[axis]) - origin) * inverse;
+                let b = (f32x8::splat(node.max[axis]) - origin) * inverse;
+                enter = enter.fast_max(a.fast_min(b));
+                leave = leave.fast_min(a.fast_max(b));
+            }
+            let inside = enter.simd_le(leave);
+            met |= (inside.to_bitmask() as u16) << (8 * part);
+            least = least.fast_min(inside.select(enter, f32x8::splat(f32::INFINITY)));
+        }
+        // In three steps, not in a chain of eight.
+        let [a, b, c, d, e, f, g, h] = least.to_array();
+        let less = |a: f32, b: f32| if a < b { a } else { b };
+        let least = less(less(less(a, b), less(c, d)), less(less(e, f), less(g, h)));
+        (met, least)
+    }
+}
+
+/// The first or the second eight rays. (Not by `map` or from a slice, which stay calls.)
+#[inline(always)]
+fn eight(rays: &[f32; WIDTH], part: usize) -> f32x8 {
+    let mut lanes = [0.0; WIDTH / 2];
+    lanes.copy_from_slice(&rays[8 * part..8 * part + 8]);
+    f32x8::new(lanes)
+}
+
+impl<'m> Copies<'m> {
+    /// `poses` (at least one) are part_from_copy; `mesh` is the mesh's box.
+    pub fn new(poses: &'m [Rigid], mesh: &Aabb) -> Copies<'m> {
+        let bounds = poses.iter().map(|pose| mesh.moved(pose));
+        let part = PartBox::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)));
+        let corners = |i: usize| {
+            let corners = mesh.corners().map(|corner| poses[i].point(corner));
+            corners.map(|corner| (corner - part.center).as_vec3a())
+        };
+        let parameters = BvhBuildParams {
+            max_prims_per_leaf: 1,
+            ..BvhBuildParams::medium_build()
+        };
+        Copies {
+            poses,
+            tree: tree_over(poses.len(), corners, &part, parameters),
+            part,
+            largest_translation: poses
+                .iter()
+                .map(|pose| pose.translation.abs().max_element())
+                .fold(0.0, f64::max),
+        }
+    }
+
+    /// Of the poses, along an axis, mm.
+    pub fn largest_translation(&self) -> f64 {
+        self.largest_translation
+    }
+
+    pub fn bounds(&self) -> Aabb {
+        self.part.bounds
+    }
+
+    pub fn poses(&self) -> &'m [Rigid] {
+        self.poses
+    }
+
+    fn below(&self, index: u32) -> Below {
+        let node = &self.tree.nodes[index as usize];
+        let first = node.first_index;
+        match node.is_leaf() {
+            true => Below::Copy(self.tree.primitive_indices[first as usize]),
+            false => Below::Nodes([first, first + 1]),
+        }
+    }
+
+    /// Calls `met` with each copy whose box some of up to 16 rays meet and which they
+    /// are, as bits: near ones first, as far as boxes tell. What `met` says of rays
+    /// that need look less far holds for the copies that follow.
+    pub fn along(&self, rays: &[Ray], mut met: impl FnMut(u32, u16, &mut Packet)) {
+        let mut packet = Packet::new(rays, &self.part);
+        let mut stack = Stack::new();
+        stack.push((0, u16::MAX, 0.0));
+        while let Some((index, rays, least)) = stack.pop() {
+            let rays = rays & packet.beyond(least);
+            if rays == 0 {
+                continue;
+            }
+            match self.below(index) {
+                Below::Copy(copy) => met(copy, rays, &mut packet),
+                Below::Nodes(children) => {
+                    let [a, b] = children.map(|child| {
+                        let (rays, least) = packet.meets(&self.tree.nodes[child as usize]);
+                        (child, rays, least)
+                    });
+                    let (near, far) = if b.2 < a.2 { (b, a) } else { (a, b) };
+                    stack.extend([far, near]);
+                }
+            }
+        }
+    }
+
+    /// Calls `look` with each copy whose box is at most as far from `p` as what it
+    /// last returned, `within` at first, mm: near ones first.
+    pub fn around(&self, p: DVec3, mut within: f64, mut look: impl FnMut(u32) -> f64) {
+        let seen = p - self.part.center;
+        let mut stack = Stack::new();
+        stack.push((0, 0.0));
+        while let Some((index, least)) = stack.pop() {
+            // A padded box is nearer than what it holds by far more than f64 rounds.
+            if least > within {
+                continue;
+            }
+            match self.below(index) {
+                Below::Copy(copy) => within = look(copy),
+                Below::Nodes(children) => {
+                    let [a, b] = children.map(|child| {
+                        let node = &self.tree.nodes[child as usize];
+                        let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
+                        (child, seen.distance(seen.clamp(min, max)))
+                    });
+                    let (near, far) = if b.1 < a.1 { (b, a) } else { (a, b) };
+                    stack.extend([far, near]);
+                }
+            }
+        }
+    }
+
+    /// Calls `found` with each copy whose box may touch all of `volume`.
+    pub fn touching(&self, volume: &[HalfSpace], mut found: impl FnMut(u32)) {
+        let touches = |index: u32| {
+            let node = &self.tree.nodes[index as usize];
+            let (min, max) = (node.min.as_dvec3(), node.max.as_dvec3());
+            let (middle, half) = ((min + max) / 2.0 + self.part.center, (max - min) / 2.0);
+            let mut planes = volume.iter();
+            planes.all(|plane| plane.height(middle) + plane.normal.abs().dot(half) >= 0.0)
+        };
+        let mut stack = Stack::new();
+        stack.push(0);
+        while let Some(index) = stack.pop() {
+            if !touches(index) {
+                continue;
+            }
+            match self.below(index) {
+                Below::Copy(copy) => found(copy),
+                Below::Nodes(children) => stack.extend(children),
+            }
+        }
+    }
+}
