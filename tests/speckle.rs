@@ -1,6 +1,7 @@
 //! Speckle seen from outside: what is read through a lookup has the statistics
 //! theory asks for. Seeds are fixed.
 
+use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::speckle::coordinate::GrainMap;
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
@@ -113,13 +114,14 @@ fn field_readings_add_up_to_the_pixel() {
     let rings = rings(SPEC, Method::Field, Coherence::FULL, 5);
     for q in [0.5, 1.0, 2.0] {
         let n = samples_across_pixel(Aperture::Circle, q, 0.005);
-        let pitch = q * SPEC.texels_per_speckle / n as f64;
+        let (pitch, rule) = (q * SPEC.texels_per_speckle, gauss_legendre(n));
         let pixel = |ring: &Lookup, at: Coordinate| {
             let sample = |i: usize| {
-                let (s, t) = (at.s + (i % n) as f64 * pitch, at.t + (i / n) as f64 * pitch);
-                ring.intensity(Coordinate { s, t, ..at }) as f64
+                let ((x, v), (y, w)) = (rule[i % n], rule[i / n]);
+                let (s, t) = (at.s + x * pitch, at.t + y * pitch);
+                v * w * ring.intensity(Coordinate { s, t, ..at }) as f64
             };
-            (0..n * n).map(sample).sum::<f64>() / (n * n) as f64
+            (0..n * n).map(sample).sum::<f64>()
         };
         let theory = sampled_contrast(Aperture::Circle, q, n);
         assert_moments(
