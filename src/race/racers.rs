@@ -147,7 +147,7 @@ impl Racer for Ours<'_> {
             for (hit, found) in hits.iter_mut().zip(found) {
                 *hit = found.map_or(FlatHit::NONE, |found| FlatHit {
                     t: found.t as f32,
-                    triangle: found.triangle,
+                    triangle: found.face.triangle,
                 });
             }
         }
