@@ -2,7 +2,7 @@
 //! camera sees those points or does not.
 
 use super::View;
-use crate::accel::{Accel, Hit, Ray, Tolerance, WIDTH, refine};
+use crate::accel::{Hit, Ray, WIDTH};
 use crate::camera::{Camera, Projector};
 use crate::laser::{CUTOFF_RADII, Fan, FanProfile};
 use crate::math::{DVec2, DVec3, Rigid};
@@ -161,45 +161,14 @@ impl Target {
         (self.center() - a) / (b - a)
     }
 
-    /// What the next ray meets, if that is a triangle that both rays met, or one of two
-    /// that join: nothing wider than a column is between them.
-    fn met(&self, accel: &Accel, aperture: DVec3) -> Option<Hit> {
+    /// Where the chord images at the centre, if it lies on a triangle that both
+    /// rays met.
+    fn on_triangle(&self) -> Option<Hit> {
         let [a, b] = self.ends.map(|end| end.hit);
-        if a.face == b.face {
-            let point = a.point.lerp(b.point, self.share());
-            return Some(Hit { point, ..a });
-        }
-        let [of_a, of_b] = [a, b].map(|hit| accel.mesh().triangles[hit.face.triangle as usize]);
-        let join = a.face.copy == b.face.copy && of_a.iter().any(|v| of_b.contains(v));
-        if !join {
-            return None;
-        }
-        let ray = Ray {
-            origin: aperture,
-            direction: self.aim(aperture),
-            t_max: f64::INFINITY,
-        };
-        let on = |hit: Hit| {
-            let exact = Tolerance {
-                along: f64::INFINITY,
-                beside: 0.0,
-            };
-            let met = refine(
-                &ray,
-                hit.face.triangle,
-                accel.corners(hit.face),
-                hit.t,
-                exact,
-            )?;
-            Some(Hit {
-                face: hit.face,
-                ..met
-            })
-        };
-        on(a)
-            .into_iter()
-            .chain(on(b))
-            .min_by(|a, b| a.t.total_cmp(&b.t))
+        (a.face == b.face).then(|| Hit {
+            point: a.point.lerp(b.point, self.share()),
+            ..a
+        })
     }
 
     /// Where the next ray goes.
@@ -269,17 +238,12 @@ impl<'a> Frame<'a> {
     fn settle(&self, targets: &mut Vec<Target>, columns: &mut [Option<LinePoint>]) {
         let aperture = self.view.part_from_laser.translation;
         let mut aims = [DVec3::Z; WIDTH];
-        let mut known = [None; WIDTH];
         let mut traced = 0;
-        for (target, known) in targets.iter().zip(&mut known) {
-            *known = target.met(self.view.accel, aperture);
-            if known.is_none() {
-                aims[traced] = target.aim(aperture);
-                traced += 1;
-            }
+        for target in targets.iter().filter(|t| t.on_triangle().is_none()) {
+            aims[traced] = target.aim(aperture);
+            traced += 1;
         }
         let mut hits = self.trace(&aims[..traced]).into_iter();
-        let mut known = known.into_iter();
 
         let eye = self.view.part_from_camera.translation;
         let mut points = [None; WIDTH];
@@ -290,7 +254,7 @@ impl<'a> Frame<'a> {
         }; WIDTH];
         let mut count = 0;
         targets.retain_mut(|target| {
-            let hit = known.next().flatten().or_else(|| hits.next().flatten());
+            let hit = target.on_triangle().or_else(|| hits.next().flatten());
             let Some(seen) = self.seen(hit) else {
                 return false;
             };
