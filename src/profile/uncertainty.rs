@@ -1,7 +1,8 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
-use super::neighbourhood::Neighbourhood;
+use super::slope::{Run, runs};
+use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::pixel_covariance;
@@ -31,6 +32,10 @@ pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
 /// does not light its outer pixels evenly and averages fewer grains there than the
 /// prediction takes them to, by up to 15 % of the variance.
 pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
+
+/// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
+/// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
+const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
 const NODES: usize = 96;
 
@@ -106,30 +111,38 @@ impl ErrorModel {
     }
 
     /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
-    /// peaks for which it is not valid. `peaks` are those of one frame, in the order
-    /// of columns; a line's width is that of its neighbourhood, as one column's is
-    /// mostly speckle.
+    /// peaks for which it is not valid, and for centroids takes [`Flags::SATURATED`]
+    /// from those of which only grains are. `peaks` are those of one frame, in the
+    /// order of columns; a line's width is that of its neighbourhood, as one column's
+    /// is mostly speckle, and that of its climb.
     pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
-        let widths = line_widths(peaks);
+        let runs = runs(peaks);
+        let expected = expected(peaks, &runs);
         let shape =
             self.finder == PeakFinder::Centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE;
-        let of = |(peak, width): (&mut Peak, Option<f64>)| {
-            let sigma = width.unwrap_or(peak.sigma);
+        let of = |((peak, expected), run): ((&mut Peak, Option<Expected>), &Run)| {
+            let (sigma, climb) = expected.map_or((peak.sigma, 0.0), |e| (e.sigma, e.climb));
             let at = self.at(sigma);
             let n = peak.intensity;
-            let variance = at.speckle
+            let variance = at.speckle * (1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb)
                 + at.shot * self.gain_dn_per_e / n
                 + at.white * (peak.noise / n).powi(2)
                 + bias(self.finder, sigma).powi(2) / 3.0;
+            if self.finder == PeakFinder::Centroid
+                && expected.is_some_and(|e| e.saturates_in_grains(peak))
+            {
+                peak.flags.remove(Flags::SATURATED);
+            }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
-                && width.is_some()
+                && expected.is_some()
                 && (self.narrowest..=SIGMAS_PX.1).contains(&sigma)
                 && at.light <= LARGEST_LIGHT_VARIANCE
                 && shape;
             peak.flags.set(Flags::OUTSIDE, !inside);
-            variance.sqrt()
+            (variance + bend_variance(run, variance)).sqrt()
         };
-        peaks.iter_mut().zip(widths).map(of).collect()
+        let all = peaks.iter_mut().zip(expected).zip(&runs);
+        all.map(of).collect()
     }
 
     fn at(&self, sigma: f64) -> Variances {
@@ -146,6 +159,14 @@ impl ErrorModel {
             light: between(|v| v.light),
         }
     }
+}
+
+/// Variance (px²) of the difference between the mean row of a line over a column and its
+/// row in the column's middle, where it bends by K rows a column at a place t of it:
+/// K·(½ − |t|)²/2, whose mean square over all t is K²/320. Of the bend that was measured
+/// errors of the rows, of this `variance`, make six times theirs.
+fn bend_variance(run: &Run, variance: f64) -> f64 {
+    (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
 /// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
@@ -244,28 +265,6 @@ fn bias(finder: PeakFinder, sigma: f64) -> f64 {
     }
 }
 
-/// Width of each line: that of the lines without flags around it; its own without
-/// any.
-///
-/// `None` where more than a tenth of the neighbours are flagged as wide: those left
-/// are then the narrow ones of lines that are wider, as on a steep wall, and would
-/// give too small a width.
-fn line_widths(peaks: &[Peak]) -> Vec<Option<f64>> {
-    let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
-    let those = |chosen: fn(&Peak) -> bool| {
-        let chosen = peaks.iter().filter(move |p| chosen(p));
-        Neighbourhood::new(columns, chosen.map(|p| (p.column, p.sigma)))
-    };
-    let alike = those(|p| p.flags.difference(Flags::OUTSIDE).is_empty());
-    let wide = those(|p| p.flags.contains(Flags::WIDE));
-    let width = |peak: &Peak| {
-        let (count, width) = alike.around(peak.column);
-        let (wider, _) = wide.around(peak.column);
-        (9 * wider <= count).then(|| width.unwrap_or(peak.sigma))
-    };
-    peaks.iter().map(width).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -300,39 +299,5 @@ mod tests {
         let centroid = 2.0 / 3.0 * 80f64.powi(3);
         assert!((white(PeakFinder::Centroid) / centroid - 1.0).abs() < 0.01);
         assert!(white(PeakFinder::LogParabola) > fit && white(PeakFinder::DerivativeZero) > fit);
-    }
-
-    /// A wide line at column 50 among narrower ones counts as wide as these; flagged
-    /// ones do not count.
-    #[test]
-    fn a_width_is_that_of_the_neighbourhood() {
-        let peak = |column| Peak {
-            column,
-            row: 10.0,
-            intensity: 1e3,
-            height: 100.0,
-            sigma: if column % 2 == 0 { 3.0 } else { 5.0 },
-            noise: 1.0,
-            flags: if column == 7 {
-                Flags::WIDE
-            } else {
-                Flags::empty()
-            },
-        };
-        let mut peaks: Vec<Peak> = (0..100).map(peak).collect();
-        peaks[7].sigma = 1e3;
-        let widths = line_widths(&peaks);
-        for width in widths {
-            // Fewest and most wide ones: 15 of the first 32 that count, 17 of the
-            // last 33.
-            let square = width.unwrap().powi(2);
-            assert!((16.49..=17.25).contains(&square), "{square}");
-        }
-        for peak in &mut peaks[60..70] {
-            peak.flags = Flags::WIDE;
-        }
-        let widths = line_widths(&peaks);
-        assert!(widths[65].is_none() && widths[20].is_some());
-        assert_eq!(line_widths(&[]), []);
     }
 }
