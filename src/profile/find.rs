@@ -19,8 +19,8 @@ pub const WEAK_SNR: f64 = 10.0;
 /// Two columns' lines are apart beyond this many line widths between their ends.
 pub const JUMP_SIGMAS: f64 = 3.0;
 
-/// A line narrower than this share of their width is the tail that an edge
-/// along it leaves: of a Gaussian cut beyond 1.5 σ.
+/// A line that is narrower than this share of their width, over five columns, is the
+/// tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
 pub const NARROW_RATIO: f64 = 0.4;
 
 /// Share by which a line's width may differ from that of its window.
@@ -246,6 +246,7 @@ fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
 pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
     let height = median(peaks.iter().map(|p| p.height));
     let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
+    let widths = Neighbourhood::new(columns, peaks.iter().map(|p| (p.column, p.sigma)));
     for i in 0..peaks.len() {
         let peak = &peaks[i];
         let before = i.checked_sub(1).map(|i| &peaks[i]);
@@ -257,7 +258,9 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f6
         let climb = slope(before, peak, after).powi(2) * VARIANCE_OF_A_CLIMB;
         let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
         let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
-        let narrow = peak.sigma < NARROW_RATIO * sigma;
+        // A column by itself may be as narrow as a grain.
+        let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
+        let narrow = beside < NARROW_RATIO * sigma;
         let flags = &mut peaks[i].flags;
         flags.set(Flags::EDGE, !unbroken || narrow);
         flags.set(Flags::WEAK, weak);

@@ -1,6 +1,7 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
+use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder};
@@ -30,8 +31,10 @@ pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
 /// Grains smaller than the first, px, on a line narrower than the second: the line
 /// does not light its outer pixels evenly and averages fewer grains there than the
-/// prediction takes them to, by up to 15 % of the variance.
+/// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
+/// added.
 pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
+const FINE_GRAIN_VARIANCE: f64 = 0.15;
 
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
 /// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
@@ -51,23 +54,27 @@ const NODES: usize = 96;
 ///
 /// with ρ the covariance of the light of two square pixels
 /// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
-/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². The
+/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
+/// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
+/// what an edge along the line that cuts it ([`Expected::cut`]); on a steep surface σ
+/// is that of the column's stretch of the line. The
 /// ratio a centroid is brings its own second-order terms; they add up to
 /// −0.02·h/σ of the variance.
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.7 … 64 px
 /// wide (pixels and their noise widen a line: 0.5 px measures as 0.7), whose columns
-/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]), which are not too fine
-/// ([`FINE_GRAIN_PX`]); for finders other than the centroid if speckle is all but
-/// averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
+/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    /// Narrowest line it is valid for, px.
-    narrowest: f64,
+    /// Whether grains are fine beside a pixel.
+    fine: bool,
     /// Relative variance of the light of a pixel.
     pixel_variance: f64,
+    /// Variance of the mean light of neighbouring columns over that of one.
+    beside: f64,
     /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
     nodes: Vec<Variances>,
 }
@@ -90,12 +97,12 @@ impl ErrorModel {
         let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
         let (least, most) = SIGMAS_PX;
         let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
-        let fine = grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0);
         ErrorModel {
             finder,
             gain_dn_per_e,
-            narrowest: if fine { FINE_GRAIN_PX.1 } else { least },
+            fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
             pixel_variance: covariance[0],
+            beside: variance_of_mean(&covariance),
             nodes: (0..NODES)
                 .map(|i| Variances::of(finder, sigma(i), &covariance))
                 .collect(),
@@ -124,7 +131,11 @@ impl ErrorModel {
             let (sigma, climb) = expected.map_or((peak.sigma, 0.0), |e| (e.sigma, e.climb));
             let at = self.at(sigma);
             let n = peak.intensity;
-            let variance = at.speckle * (1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb)
+            let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
+                true => FINE_GRAIN_VARIANCE,
+                false => 0.0,
+            };
+            let variance = at.speckle * (1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb)
                 + at.shot * self.gain_dn_per_e / n
                 + at.white * (peak.noise / n).powi(2)
                 + bias(self.finder, sigma).powi(2) / 3.0;
@@ -135,11 +146,12 @@ impl ErrorModel {
             }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
                 && expected.is_some()
-                && (self.narrowest..=SIGMAS_PX.1).contains(&sigma)
+                && (SIGMAS_PX.0..=SIGMAS_PX.1).contains(&sigma)
                 && at.light <= LARGEST_LIGHT_VARIANCE
                 && shape;
             peak.flags.set(Flags::OUTSIDE, !inside);
-            (variance + bend_variance(run, variance)).sqrt()
+            let cut = expected.map_or(0.0, |e| e.cut(at.light * self.beside));
+            (variance + bend_variance(run, variance) + cut * cut).sqrt()
         };
         let all = peaks.iter_mut().zip(expected).zip(&runs);
         all.map(of).collect()
@@ -177,6 +189,17 @@ fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
         grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
     };
     (0..=lags).map(covariance).collect()
+}
+
+/// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one.
+fn variance_of_mean(covariance: &[f64]) -> f64 {
+    let n = 2 * BESIDE + 1;
+    let at = |lag: usize| covariance.get(lag).copied().unwrap_or(0.0);
+    if at(0) == 0.0 {
+        return 1.0;
+    }
+    let pairs: f64 = (1..n).map(|lag| 2.0 * (n - lag) as f64 * at(lag)).sum();
+    (n as f64 + pairs / at(0)) / (n * n) as f64
 }
 
 impl Variances {
@@ -299,5 +322,24 @@ mod tests {
         let centroid = 2.0 / 3.0 * 80f64.powi(3);
         assert!((white(PeakFinder::Centroid) / centroid - 1.0).abs() < 0.01);
         assert!(white(PeakFinder::LogParabola) > fit && white(PeakFinder::DerivativeZero) > fit);
+    }
+
+    /// An even stretch of σ = W/√12 has ∫E²x²/(∫E)² = W/12, a Gaussian σ/(4√π); and the
+    /// bias of a bend is the mean row less that in the middle, here summed.
+    #[test]
+    fn constants_of_stretches_and_bends_are_what_they_are_said_to_be() {
+        let ratio = (12f64.sqrt() / 12.0) / (1.0 / (4.0 * PI.sqrt()));
+        assert!((ratio - SPECKLE_OF_A_STRETCH).abs() < 1e-4, "{ratio}");
+        let n = 400;
+        let at = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+        let row = |x: f64, t: f64| (x - t).max(0.0);
+        let bias = |t: f64| (0..n).map(|i| row(at(i), t)).sum::<f64>() / n as f64 - row(0.0, t);
+        let square = (0..n).map(|i| bias(at(i)).powi(2)).sum::<f64>() / n as f64;
+        let run = Run {
+            slope: 0.0,
+            bend: 1.0,
+        };
+        assert!((square / bend_variance(&run, 0.0) - 1.0).abs() < 1e-3, "{square}");
+        assert_eq!(bend_variance(&run, 1.0), 0.0);
     }
 }

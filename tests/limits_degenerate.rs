@@ -1,0 +1,66 @@
+//! Zero vectors, zero areas and denormals among the triangles and rays of a part.
+
+mod random;
+
+use clap::ValueEnum;
+use lasertrace::accel::{Accel, Backend, Hit, Ray, WIDTH};
+use lasertrace::math::{DVec3, Rigid};
+use lasertrace::mesh::shapes;
+use random::Random;
+
+fn closest(accel: &Accel, rays: &[Ray]) -> Vec<Option<Hit>> {
+    (rays.chunks(WIDTH))
+        .flat_map(|packet| accel.closest(packet, |_, _| true)[..packet.len()].to_vec())
+        .collect()
+}
+
+fn endless(from: DVec3, to: DVec3) -> Ray {
+    Ray {
+        t_max: f64::INFINITY,
+        ..Ray::between(from, to).unwrap()
+    }
+}
+
+/// Triangles without area, corners a denormal apart, rays without length: a sound part
+/// is met through them where it is, nothing else is, and every number is one.
+#[test]
+fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
+    let p = DVec3::new(1.0, 2.0, 3.0);
+    assert!(Ray::between(p, p).is_none());
+    for (z, x) in [(DVec3::ZERO, DVec3::X), (DVec3::Z, DVec3::ZERO), (p, p)] {
+        assert!(Rigid::from_z_and_x(DVec3::ZERO, z, x).is_none());
+    }
+    let tiny = DVec3::splat(5e-324);
+    assert!(Rigid::from_z_and_x(p, tiny, DVec3::X).is_none_or(|pose| pose.rotation.is_finite()));
+    let sound = shapes::sphere(5.0, 0.01).unwrap();
+    let mut mesh = sound.clone();
+    let mut random = Random::new(9);
+    for _ in 0..200 {
+        let (a, way) = (random.direction() * 8.0, random.direction());
+        for corners in [[a; 3], [a, a + way, a + way * 2.0], [a, a + tiny, a - tiny]] {
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend(corners);
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+    }
+    let rays: Vec<Ray> = (0..4000)
+        .map(|i| endless(random.direction() * 30.0, mesh.positions[i % mesh.positions.len()]))
+        .collect();
+    for &backend in Backend::value_variants() {
+        let [with, without] = [&mesh, &sound]
+            .map(|mesh| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
+        let mut off = 0;
+        for (found, truth) in closest(&with, &rays).iter().zip(closest(&without, &rays)) {
+            if let Some(hit) = found {
+                assert!(hit.point.is_finite() && hit.normal.is_finite() && hit.t.is_finite());
+            }
+            off += usize::from(found.as_ref().map(|h| h.triangle) != truth.map(|h| h.triangle));
+        }
+        // Rays are aimed at vertices, around which any triangle may be the one.
+        println!("{backend:?}: {off} of 4000 on another triangle");
+        for i in 0..600 {
+            let nearest = with.nearest(mesh.positions[i * 7] + random.vector(1.0), None);
+            assert!(nearest.distance.is_finite());
+        }
+    }
+}
