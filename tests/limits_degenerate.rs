@@ -43,12 +43,17 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
             mesh.triangles.push([first, first + 1, first + 2]);
         }
     }
+    // Half of them at corners without area, half at the sound part, off its vertices.
+    let corners = &mesh.positions[sound.positions.len()..];
     let rays: Vec<Ray> = (0..4000)
-        .map(|i| endless(random.direction() * 30.0, mesh.positions[i % mesh.positions.len()]))
+        .map(|i| {
+            let target = [corners[i % corners.len()], random.vector(2.0)][i % 2];
+            endless(random.direction() * 30.0, target)
+        })
         .collect();
     for &backend in Backend::value_variants() {
-        let [with, without] = [&mesh, &sound]
-            .map(|mesh| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
+        let [with, without] =
+            [&mesh, &sound].map(|mesh| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
         // Other corners make another box, and its f32 another side of the horizon.
         let mut off = 0;
         for (found, truth) in closest(&with, &rays).iter().zip(closest(&without, &rays)) {

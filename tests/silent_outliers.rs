@@ -247,7 +247,11 @@ fn outliers_of_unseen_scenes_carry_flags() {
         let mut tally = Tally::default();
         tally.add(&points);
         tally.print(unseen.name);
-        assert!(tally.silent as f64 <= 5e-4 * points.len() as f64, "{}", unseen.name);
+        assert!(
+            tally.silent as f64 <= 5e-4 * points.len() as f64,
+            "{}",
+            unseen.name
+        );
         let suspected = unseen.suspected * tally.good as f64;
         assert!(tally.suspected as f64 <= suspected, "{}", unseen.name);
         all.add(&points);

@@ -223,7 +223,10 @@ fn intervals_of_fine_grain_on_narrow_lines_are_wide_enough() {
         fine.laser.beam.waist_radius = waist;
         fine.camera.sensor.exposure_ms = 0.002;
         let found = errors(&points(fine, 1), |p| p.position.z);
-        let text = format!("{}: {}, {}, {}", waist, found.unflagged, found.coverage, found.rms);
+        let text = format!(
+            "{}: {}, {}, {}",
+            waist, found.unflagged, found.coverage, found.rms
+        );
         println!("{text}");
         assert!(found.unflagged > 0.9, "{text}");
         assert!((0.94..=0.975).contains(&found.coverage), "{text}");

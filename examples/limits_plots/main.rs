@@ -42,7 +42,9 @@ fn main() {
 
 /// A scene of the repository with some of its text replaced.
 fn scene(name: &str, changes: &[(&str, String)]) -> Scene {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("scenes")
+        .join(name);
     let mut text = std::fs::read_to_string(folder.join("scene.toml")).unwrap();
     for (from, to) in changes {
         assert!(text.contains(from), "{name}: {from}");
@@ -152,7 +154,9 @@ fn saturation() -> Panel {
 
 fn border() -> Panel {
     let (mut off, mut flagged) = (Vec::new(), Vec::new());
-    for distance in [0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0, 10.0] {
+    for distance in [
+        0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 7.0, 10.0,
+    ] {
         let row = distance * SIGMA;
         let border = |peak: &Peak| peak.flags.contains(Flags::BORDER);
         let curve = match synthetic(row, 600.0, 0.0).0.as_ref().is_some_and(border) {
@@ -192,7 +196,10 @@ fn grains() -> Panel {
                 ("f_number = 8", format!("f_number = {f_number}")),
                 ("exposure_ms = 0.05", format!("exposure_ms = {exposure}")),
                 ("full_well_e = 20000", "full_well_e = 200000".into()),
-                ("gain_dn_per_e = 0.2", "gain_dn_per_e = 0.04\nread_noise_e = 5".into()),
+                (
+                    "gain_dn_per_e = 0.2",
+                    "gain_dn_per_e = 0.04\nread_noise_e = 5".into(),
+                ),
                 ("step_mm = 0.1", "step_mm = 0.5".into()),
             ],
         );
@@ -200,7 +207,9 @@ fn grains() -> Panel {
         let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
         // Twice the standard deviation of the line in pixels: it is 12 px of 10 µm wide.
         let across = 12.0 * scene.camera.sensor.pixel_pitch / grain;
-        let squares = points.iter().map(|p| (p.deviation / p.deviation_sigma).powi(2));
+        let squares = points
+            .iter()
+            .map(|p| (p.deviation / p.deviation_sigma).powi(2));
         let rms = (squares.sum::<f64>() / points.len() as f64).sqrt();
         let flagged = points.iter().filter(|p| p.flags.contains(Flags::OUTSIDE));
         let curve = match 2 * flagged.count() > points.len() {
@@ -255,7 +264,11 @@ fn contrast(rings: &[Lookup], q: f64, side: usize) -> f64 {
                 let off = DVec2::new((k % side) as f64, (k / side) as f64) + 0.5;
                 let at = corner + off * width / side as f64;
                 let u = (cell / (cells * cells)) as f64 * 2.03;
-                ring.intensity(Coordinate { s: at.x, t: at.y, u }) as f64
+                ring.intensity(Coordinate {
+                    s: at.x,
+                    t: at.y,
+                    u,
+                }) as f64
             };
             let value = (0..side * side).map(reading).sum::<f64>() / (side * side) as f64;
             n += 1.0;

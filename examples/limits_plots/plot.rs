@@ -27,7 +27,11 @@ const COLORS: [&str; 3] = ["#c0392b", "#2471a3", "#1e8449"];
 impl Panel {
     /// Powers of ten around the x of all curves.
     fn x_powers(&self) -> (f64, f64) {
-        let xs = self.curves.iter().flat_map(|c| &c.points).map(|p| p.0.log10());
+        let xs = self
+            .curves
+            .iter()
+            .flat_map(|c| &c.points)
+            .map(|p| p.0.log10());
         let (low, high) = xs.fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(x), h.max(x)));
         ((low + 1e-9).floor(), (high - 1e-9).ceil())
     }
@@ -79,15 +83,32 @@ impl Panel {
             top - 15.0,
             self.y
         );
+        self.draw_curves(&mut svg, (left, top), &x, &y);
+        svg
+    }
+
+    fn draw_curves(
+        &self,
+        svg: &mut String,
+        (left, top): (f64, f64),
+        x: &dyn Fn(f64) -> f64,
+        y: &dyn Fn(f64) -> f64,
+    ) {
         for (i, (curve, color)) in self.curves.iter().zip(COLORS).enumerate() {
             let places = curve.points.iter().map(|&(a, b)| (x(a), y(b)));
-            let line: String = places.clone().map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
+            let line: String = places
+                .clone()
+                .map(|(x, y)| format!("{x:.1},{y:.1} "))
+                .collect();
             let _ = write!(
                 svg,
                 "<polyline points=\"{line}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1.6\"/>"
             );
             for (x, y) in places {
-                let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{color}\"/>");
+                let _ = write!(
+                    svg,
+                    "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{color}\"/>"
+                );
             }
             let _ = write!(
                 svg,
@@ -96,7 +117,6 @@ impl Panel {
                 curve.label
             );
         }
-        svg
     }
 }
 

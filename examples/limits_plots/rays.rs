@@ -66,7 +66,8 @@ pub fn poses() -> Panel {
             let Some(hit) = &accel.closest(&[ray], |_, _| true)[0] else {
                 continue;
             };
-            let off_ray = |from: DVec3, direction: DVec3, p: DVec3| (p - from).cross(direction).length();
+            let off_ray =
+                |from: DVec3, direction: DVec3, p: DVec3| (p - from).cross(direction).length();
             let world = pose.point(hit.point);
             let found = [
                 off_ray(ray.origin, ray.direction, hit.point),
@@ -124,7 +125,8 @@ pub fn slivers() -> Panel {
         };
         for i in 0..200u32 {
             let tip = random.direction() * 10.0;
-            mesh.positions.extend([tip, tip + random.vector() * 10.0 * width]);
+            mesh.positions
+                .extend([tip, tip + random.vector() * 10.0 * width]);
             mesh.triangles.push([0, 2 * i + 1, 2 * i + 2]);
         }
         let accel = Accel::build(&mesh, 1).unwrap();
@@ -166,7 +168,8 @@ pub fn shells() -> Panel {
         let upper: Vec<DVec3> = mesh.positions.iter().map(|&p| p + DVec3::Z * gap).collect();
         mesh.positions.extend(upper);
         let below = mesh.triangles.clone();
-        mesh.triangles.extend(below.iter().map(|t| t.map(|v| v + 4)));
+        mesh.triangles
+            .extend(below.iter().map(|t| t.map(|v| v + 4)));
         let turn = Rigid::from_euler_xyz(DVec3::new(0.3, 0.5, 0.2), DVec3::ZERO);
         mesh.positions.iter_mut().for_each(|p| *p = turn.point(*p));
         let accel = Accel::build(&mesh, 1).unwrap();
@@ -187,7 +190,9 @@ pub fn shells() -> Panel {
         let dark: u32 = packets.map(|rays| accel.occluded(rays).count_ones()).sum();
         [lower as f64 / 2e4, dark as f64 / 2e4]
     };
-    let gaps: Vec<f64> = (0..=12).map(|i| 10f64.powf(-6.0 + 0.5 * i as f64)).collect();
+    let gaps: Vec<f64> = (0..=12)
+        .map(|i| 10f64.powf(-6.0 + 0.5 * i as f64))
+        .collect();
     let both = |half: f64| -> Vec<[f64; 2]> { gaps.iter().map(|&gap| share(half, gap)).collect() };
     let (small, large) = (both(100.0), both(1000.0));
     let curve = |label, of: &[[f64; 2]], k: usize| Curve {

@@ -129,7 +129,10 @@ fn a_frames_rays_are_the_same_with_avx2() {
                 hits[packet * WIDTH + i] = (triangle, t.to_bits());
             });
         }
-        let shadows: Vec<u16> = rays.chunks(WIDTH).map(|r| tree.occluded(r, &part)).collect();
+        let shadows: Vec<u16> = rays
+            .chunks(WIDTH)
+            .map(|r| tree.occluded(r, &part))
+            .collect();
         let nearest: Vec<_> = (0..2000)
             .map(|i| {
                 let far = Nearest {

@@ -151,7 +151,10 @@ impl Simulation<'_> {
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));
         let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
-        let by_column = self.calibration.point_jacobian(pixel).map(|j| j.by_pixel[0]);
+        let by_column = self
+            .calibration
+            .point_jacobian(pixel)
+            .map(|j| j.by_pixel[0]);
         let off_column = by_column.unwrap_or_default() / 12f64.sqrt();
         outer(off_sheet) + outer(off_column)
     }

@@ -251,7 +251,9 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f6
         let peak = &peaks[i];
         let before = i.checked_sub(1).map(|i| &peaks[i]);
         let before = before.filter(|before| touching(before, peak, sigma));
-        let after = peaks.get(i + 1).filter(|after| touching(peak, after, sigma));
+        let after = peaks
+            .get(i + 1)
+            .filter(|after| touching(peak, after, sigma));
         let first = peak.column == 0;
         let last = peak.column as usize + 1 == columns;
         let unbroken = (first || before.is_some()) && (last || after.is_some());

@@ -339,7 +339,10 @@ mod tests {
             slope: 0.0,
             bend: 1.0,
         };
-        assert!((square / bend_variance(&run, 0.0) - 1.0).abs() < 1e-3, "{square}");
+        assert!(
+            (square / bend_variance(&run, 0.0) - 1.0).abs() < 1e-3,
+            "{square}"
+        );
         assert_eq!(bend_variance(&run, 1.0), 0.0);
     }
 }

@@ -1,7 +1,7 @@
 //! How wide lines are by their neighbourhood: one column's own width is mostly speckle.
 
-use super::neighbourhood::Neighbourhood;
 use super::locate::PIXEL_VARIANCE;
+use super::neighbourhood::Neighbourhood;
 use super::slope::{Run, VARIANCE_OF_A_CLIMB};
 use super::{Flags, Peak};
 use std::f64::consts::{SQRT_2, TAU};
@@ -42,7 +42,10 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
     };
     let without_climb = |p: &Peak, run: &Run| (p.sigma.powi(2) - climb(run)).max(0.0).sqrt();
     let alike = those(&|p, _| sound(p), &without_climb);
-    let level = those(&|p, run| sound(p) && run.slope.abs() <= LEVEL, &without_climb);
+    let level = those(
+        &|p, run| sound(p) && run.slope.abs() <= LEVEL,
+        &without_climb,
+    );
     let wide = those(&|p, _| p.flags.contains(Flags::WIDE), &|p, _| p.sigma);
     // Means are of squares.
     let root = |p: &Peak, _: &Run| p.intensity.max(0.0).sqrt();
@@ -125,7 +128,7 @@ mod tests {
             row: 10.0,
             intensity: 1e3,
             height: 100.0,
-            sigma: if column % 2 == 0 { 3.0 } else { 5.0 },
+            sigma: if column.is_multiple_of(2) { 3.0 } else { 5.0 },
             noise: 1.0,
             flags: Flags::empty(),
         }

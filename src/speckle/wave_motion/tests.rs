@@ -1,5 +1,6 @@
 use super::*;
 use crate::math::DVec3;
+use crate::speckle::motion::SpeckleShift;
 use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 
 /// Rows of the reference table whose names start with one of `names`, from 8
@@ -87,10 +88,22 @@ fn a_grazing_camera_sees_what_the_tensor_formula_says() {
         );
         let gamma = &row.waves.gamma;
         let half = 0.75 * (gamma.high - gamma.low) + 0.01;
-        assert!((gamma.value - row.gamma_defocused).abs() < half && half < 0.15, "{row:?}");
-        for (found, um) in row.waves.displacement.unwrap().iter().zip(row.displacement_um) {
+        assert!(
+            (gamma.value - row.gamma_defocused).abs() < half && half < 0.15,
+            "{row:?}"
+        );
+        for (found, um) in row
+            .waves
+            .displacement
+            .unwrap()
+            .iter()
+            .zip(row.displacement_um)
+        {
             let half = 0.75 * (found.high - found.low) + 2.4e-3;
-            assert!((found.value - um * 1e-3).abs() < half && half < 0.01, "{row:?}");
+            assert!(
+                (found.value - um * 1e-3).abs() < half && half < 0.01,
+                "{row:?}"
+            );
         }
     }
 }
@@ -98,6 +111,48 @@ fn a_grazing_camera_sees_what_the_tensor_formula_says() {
 /// An abrupt step: half of the patch lies this much lower, out of focus by a blur circle
 /// of 5 grains.
 const STEP_MM: f64 = 3.0;
+
+/// What the formula says of the lower side.
+fn below_the_step(case: &MotionCase) -> SpeckleShift {
+    let down = -DVec3::Z * STEP_MM;
+    let view = SurfaceView {
+        point: case.view.point + down,
+        ..case.view
+    };
+    let motion = Motion {
+        part: case.motion.part + case.motion.rotation.cross(down),
+        ..case.motion
+    };
+    speckle_shift(&view, &motion)
+}
+
+/// Images before and after the motion of surfaces whose left half lies lower.
+fn pairs_over_the_step(plan: &Plan, sampling: &WaveSampling) -> Vec<[WaveImage; 2]> {
+    let pair = |k| {
+        let key = Key::new(sampling.seed, Purpose::WaveScatterers).with(k);
+        let mut points = plan.points(key);
+        for p in &mut points {
+            if (p.position - plan.case.view.point).dot(plan.ray.basis[0]) < 0.0 {
+                p.position -= DVec3::Z * STEP_MM;
+            }
+        }
+        [-0.5, 0.5].map(|share| plan.image(&points, share).unwrap())
+    };
+    (0..sampling.realisations)
+        .into_par_iter()
+        .map(pair)
+        .collect()
+}
+
+/// The image so many pixels further right.
+fn rolled(image: &WaveImage, by: isize) -> WaveImage {
+    let n = image.grid.pixels as isize;
+    let pixel = |k: isize| image.at(k % n - n / 2 + by, k / n - n / 2);
+    WaveImage {
+        intensity: (0..n * n).map(pixel).collect(),
+        ..*image
+    }
+}
 
 /// What a tilt does to the speckle on both sides of a step, from 3 to 11 grains off it, and
 /// within two grains. γ is taken at the displacement that the formula has for a side's depth.
@@ -114,44 +169,14 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
         seed: 9,
     };
     let upper = speckle_shift(&case.view, &case.motion);
-    let lower_point = case.view.point - DVec3::Z * STEP_MM;
-    let lower = speckle_shift(
-        &SurfaceView {
-            point: lower_point,
-            ..case.view
-        },
-        &Motion {
-            part: case.motion.part + case.motion.rotation.cross(lower_point - case.view.point),
-            ..case.motion
-        },
-    );
+    let lower = below_the_step(&case);
     let plan = Plan::of(&case, upper.sensor, &sampling).unwrap();
-    let pairs: Vec<[WaveImage; 2]> = (0..sampling.realisations)
-        .into_par_iter()
-        .map(|k| {
-            let mut points = plan.points(Key::new(9, Purpose::WaveScatterers).with(k));
-            for p in &mut points {
-                if (p.position - case.view.point).dot(plan.ray.basis[0]) < 0.0 {
-                    p.position -= DVec3::Z * STEP_MM;
-                }
-            }
-            [-0.5, 0.5].map(|share| plan.image(&points, share).unwrap())
-        })
-        .collect();
+    let pairs = pairs_over_the_step(&plan, &sampling);
     // So many grains to the right of the step.
     let gamma = |grains: f64, width: usize, expected: DVec2| {
         let by = (grains * PIXELS_PER_GRAIN) as isize;
-        let rolled = |image: &WaveImage| {
-            let n = image.grid.pixels as isize;
-            let half = n / 2;
-            let pixel = |k: isize| image.at(k % n - half + by, k / n - half);
-            WaveImage {
-                intensity: (0..n * n).map(pixel).collect(),
-                ..*image
-            }
-        };
-        let pairs: Vec<[WaveImage; 2]> =
-            pairs.iter().map(|[a, b]| [rolled(a), rolled(b)]).collect();
+        let both = pairs.iter().map(|[a, b]| [rolled(a, by), rolled(b, by)]);
+        let pairs: Vec<[WaveImage; 2]> = both.collect();
         correlate_pairs(&pairs, expected, width * PIXELS_PER_GRAIN as usize, 9).gamma
     };
     let law = overlap_correlation(upper.delta);
@@ -162,7 +187,10 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
         (1.0, 2, &upper, &lower),
         (7.0, 8, &upper, &lower),
     ] {
-        let (own, other) = (gamma(grains, width, own.sensor), gamma(grains, width, other.sensor));
+        let (own, other) = (
+            gamma(grains, width, own.sensor),
+            gamma(grains, width, other.sensor),
+        );
         println!(
             "{grains} grains from the step: γ {:.3} ({:.3} to {:.3}), by the other side's depth \
              {:.3}; law {law:.3}",
@@ -174,7 +202,10 @@ fn on_both_sides_of_a_step_speckle_moves_by_its_own_depth() {
         }
         // Three standard errors, and the simulation's own 0.01.
         let half = 1.5 * (own.high - own.low) / 2.0 + 0.01;
-        assert!((own.value - law).abs() < half && half < 0.1, "{grains}: {own:?}");
+        assert!(
+            (own.value - law).abs() < half && half < 0.1,
+            "{grains}: {own:?}"
+        );
         assert!(other.high < own.value - 0.05, "{grains}: {own:?} {other:?}");
     }
     // Within the blur circle both sides are seen at once, displaced differently.
