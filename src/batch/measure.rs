@@ -12,8 +12,8 @@ use crate::profile::{
 use crate::scene::Scene;
 
 /// Least share of a point's uncertainty that is across the surface, for that share to
-/// be all that moves the point off it: on a wall along which its errors run, how
-/// wide the line is decides as much as where.
+/// be all that moves the point off it: on a wall along which its errors run, which part
+/// of the light it catches decides as much.
 const LEAST_SHARE: f64 = 0.15;
 
 impl Simulation<'_> {
@@ -104,13 +104,13 @@ impl Simulation<'_> {
             let position = part_from_head.point(in_head);
             let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut close);
             let normal = part_from_head.inverse().vector(normal);
+            let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
+            let mut covariance = covariance;
+            if across(&covariance) < LEAST_SHARE * trace(&covariance).max(0.0).sqrt() {
+                covariance += self.of_a_part_of_the_light(peak, in_head);
+            }
             let sigma = trace(&covariance).max(0.0).sqrt();
-            let deviation_sigma = normal.dot(covariance * normal).max(0.0).sqrt();
-            let mut flags = peak.flags;
-            flags.set(
-                Flags::OUTSIDE,
-                flags.contains(Flags::OUTSIDE) || deviation_sigma < LEAST_SHARE * sigma,
-            );
+            let deviation_sigma = across(&covariance);
             Some(CloudPoint {
                 position,
                 deviation,
@@ -119,7 +119,7 @@ impl Simulation<'_> {
                 intensity: peak.intensity,
                 frame,
                 column: peak.column,
-                flags,
+                flags: peak.flags,
             })
         });
         points.collect()
@@ -130,13 +130,33 @@ impl Simulation<'_> {
         let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
         let jacobian = self.calibration.point_jacobian(pixel)?;
         let row = jacobian.by_pixel[1] * row_sigma;
-        let from_row = DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+        let from_row = outer(row);
         let known = self.calibration.is_exact();
         let covariance = match known {
             true => from_row,
             false => from_row + self.calibration.point_covariance(&jacobian),
         };
         Some((jacobian.point, covariance))
+    }
+
+    /// What a peak's point may be off where the wall it lies on catches a part of the light
+    /// only, covariance in the head's frame, mm²: as far off the sheet as the light is
+    /// on average, a standard deviation of w/2, and seen along the same ray; and off the
+    /// middle of its column's light, 1/√12 of a column if all of it is at one place.
+    fn of_a_part_of_the_light(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+        let scene = self.scene;
+        let from_laser = scene.head_from_laser.inverse().point(in_head);
+        let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
+        let normal = scene.head_from_laser.rotation.y_axis;
+        let ray = in_head - self.calibration.head_from_camera.translation;
+        let off_sheet = ray * (half / ray.dot(normal));
+        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let by_column = self
+            .calibration
+            .point_jacobian(pixel)
+            .map(|j| j.by_pixel[0]);
+        let off_column = by_column.unwrap_or_default() / 12f64.sqrt();
+        outer(off_sheet) + outer(off_column)
     }
 
     /// The cloud moved by a rigid motion, its deviations taken anew.
@@ -150,6 +170,10 @@ impl Simulation<'_> {
             ..*point
         }
     }
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
 fn trace(m: &DMat3) -> f64 {

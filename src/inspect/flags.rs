@@ -27,7 +27,7 @@ const FLAGS: [(Flags, &str, &str); 7] = [
     (
         Flags::SATURATED,
         "saturated",
-        "a pixel of the line has the highest count the sensor gives",
+        "the line reaches the highest count the sensor gives, not only its brightest grains",
     ),
     (
         Flags::DOUBLE,
@@ -37,7 +37,7 @@ const FLAGS: [(Flags, &str, &str); 7] = [
     (
         Flags::WIDE,
         "wide",
-        "more than twice as wide as the frame's lines",
+        "more than twice as wide as the frame's lines where they run as steeply",
     ),
     (
         Flags::WEAK,

@@ -3,24 +3,25 @@
 use super::background::{Background, Histogram, background, detection_sigmas};
 use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
+use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
 use super::{Choice, Flags, Peak, PeakSettings};
 use std::cell::Cell;
 use wide::u16x8;
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
-/// A line is wide above this many times the width of the frame's lines.
+/// A line is wide above this many times the width of the frame's lines, climbing as it does.
 pub const WIDE_RATIO: f64 = 2.0;
 /// A line is weak below this share of the median height of the frame's lines: a
 /// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
 pub const WEAK_SHARE: f64 = 0.05;
 /// A line is weak below this many times the background's noise.
 pub const WEAK_SNR: f64 = 10.0;
-/// A neighbour's line is cut off beyond this many line widths.
+/// Two columns' lines are apart beyond this many line widths between their ends.
 pub const JUMP_SIGMAS: f64 = 3.0;
 
-/// A line narrower than this share of their width is the tail that an edge
-/// along it leaves: of a Gaussian cut beyond 1.5 σ.
+/// A line that is narrower than this share of their width, over five columns, is the
+/// tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
 pub const NARROW_RATIO: f64 = 0.4;
 
 /// Share by which a line's width may differ from that of its window.
@@ -252,20 +253,25 @@ fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
 pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
     let height = median(peaks.iter().map(|p| p.height));
     let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
-    let touching = |a: &Peak, b: &Peak| {
-        let reach = (JUMP_SIGMAS * sigma.max(a.sigma.min(b.sigma))).max(1.0);
-        a.column + 1 == b.column && (a.row - b.row).abs() <= reach
-    };
+    let widths = Neighbourhood::new(columns, peaks.iter().map(|p| (p.column, p.sigma)));
     for i in 0..peaks.len() {
         let peak = &peaks[i];
-        let before = peak.column == 0 || i > 0 && touching(&peaks[i - 1], peak);
+        let before = i.checked_sub(1).map(|i| &peaks[i]);
+        let before = before.filter(|before| touching(before, peak, sigma));
+        let after = peaks
+            .get(i + 1)
+            .filter(|after| touching(peak, after, sigma));
+        let first = peak.column == 0;
         let last = peak.column as usize + 1 == columns;
-        let after = last || peaks.get(i + 1).is_some_and(|next| touching(peak, next));
+        let unbroken = (first || before.is_some()) && (last || after.is_some());
+        let climb = slope(before, peak, after).powi(2) * VARIANCE_OF_A_CLIMB;
         let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
-        let wide = peak.sigma > WIDE_RATIO * sigma;
-        let narrow = peak.sigma < NARROW_RATIO * sigma;
+        let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
+        // A column by itself may be as narrow as a grain.
+        let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
+        let narrow = beside < NARROW_RATIO * sigma;
         let flags = &mut peaks[i].flags;
-        flags.set(Flags::EDGE, !(before && after) || narrow);
+        flags.set(Flags::EDGE, !unbroken || narrow);
         flags.set(Flags::WEAK, weak);
         flags.set(Flags::WIDE, wide);
     }

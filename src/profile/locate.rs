@@ -10,7 +10,7 @@ use super::fit::{gaussian_fit, solve};
 pub(super) const WINDOW_SIGMAS: f64 = 4.0;
 
 /// Variance that integration over a pixel adds to the line's, px².
-const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
+pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
 /// A line of a column, as it was detected.
 #[derive(Debug, Clone, Copy)]

@@ -16,7 +16,9 @@ mod neighbourhood;
 mod normal;
 mod peak;
 mod residual_picture;
+mod slope;
 mod uncertainty;
+mod widths;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
 pub use background::FALSE_PEAKS_PER_FRAME;

@@ -3,6 +3,9 @@
 /// Columns to either side that tell how wide a line is.
 const NEIGHBOURS: usize = 32;
 
+/// Columns to either side that are next to one.
+pub(super) const BESIDE: usize = 2;
+
 /// Widths of lines, ready to be averaged around any column.
 pub(super) struct Neighbourhood {
     /// Sum of the squares, and number, of the columns before.
@@ -29,9 +32,18 @@ impl Neighbourhood {
     /// speckle: what the centroid's scatter takes off, the ratio adds. A median would
     /// be some per cent short.
     pub fn around(&self, column: u32) -> (usize, Option<f64>) {
+        self.within(column, NEIGHBOURS)
+    }
+
+    /// Of those next to it, where a line may end within a few columns.
+    pub fn beside(&self, column: u32) -> Option<f64> {
+        self.within(column, BESIDE).1
+    }
+
+    fn within(&self, column: u32, reach: usize) -> (usize, Option<f64>) {
         let column = column as usize;
-        let from = self.sums[column.saturating_sub(NEIGHBOURS)];
-        let to = self.sums[(column + NEIGHBOURS + 1).min(self.sums.len() - 1)];
+        let from = self.sums[column.saturating_sub(reach)];
+        let to = self.sums[(column + reach + 1).min(self.sums.len() - 1)];
         let count = to.1 - from.1;
         let mean = (to.0 - from.0).max(0.0) / count as f64;
         (count, (count > 0).then(|| mean.sqrt()))

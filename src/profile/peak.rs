@@ -29,24 +29,25 @@ bitflags! {
     /// What may be wrong with a peak. Serialised by names: "SATURATED | WIDE".
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
     pub struct Flags: u16 {
-        /// A pixel of the line reaches the highest count the sensor gives.
+        /// A pixel of the line reaches the highest count the sensor gives. Taken back
+        /// where only bright grains of speckle do, whose loss its uncertainty covers.
         const SATURATED = 1;
         /// The column holds another line: one that passes detection, has at
         /// least [`super::CANDIDATE_SHARE`] of the height of the column's
         /// highest, and is apart from it by the lines' width at half height.
         const DOUBLE = 1 << 1;
         /// Wider than [`super::WIDE_RATIO`] times the width of the frame's lines
-        /// (their median, or [`PeakSettings::expected_sigma`]).
+        /// (their median, or [`PeakSettings::expected_sigma`]) and of its climb.
         const WIDE = 1 << 2;
         /// Lower than [`super::WEAK_SHARE`] of the median height of the frame's
         /// lines, or than [`super::WEAK_SNR`] times the noise.
         const WEAK = 1 << 3;
         /// The window of four line widths to either side ends at the sensor's edge.
         const BORDER = 1 << 4;
-        /// At an occlusion or a jump: a neighbouring column has no line, or one
-        /// further off than [`super::JUMP_SIGMAS`] line widths (at least a pixel),
-        /// which an unbroken surface shows only where it is seen at grazing
-        /// angles; or an edge along the line leaves a tail of it, narrower than
+        /// At an occlusion or a jump: a neighbouring column has no line, or one whose
+        /// end is further off than [`super::JUMP_SIGMAS`] line widths (at least a
+        /// pixel), which those of an unbroken surface are not, however steep it is;
+        /// or an edge along the line leaves a tail of it, narrower than
         /// [`super::NARROW_RATIO`] of their width.
         const EDGE = 1 << 5;
         /// Outside the domain of the uncertainty that is stated for it. Not set

@@ -1,7 +1,9 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
-use super::neighbourhood::Neighbourhood;
+use super::neighbourhood::BESIDE;
+use super::slope::{Run, runs};
+use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::pixel_covariance;
@@ -29,8 +31,14 @@ pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
 /// Grains smaller than the first, px, on a line narrower than the second: the line
 /// does not light its outer pixels evenly and averages fewer grains there than the
-/// prediction takes them to, by up to 15 % of the variance.
+/// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
+/// added.
 pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
+const FINE_GRAIN_VARIANCE: f64 = 0.15;
+
+/// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
+/// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
+const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
 const NODES: usize = 96;
 
@@ -46,23 +54,27 @@ const NODES: usize = 96;
 ///
 /// with ρ the covariance of the light of two square pixels
 /// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
-/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². The
+/// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
+/// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
+/// what an edge along the line that cuts it ([`Expected::cut`]); on a steep surface σ
+/// is that of the column's stretch of the line. The
 /// ratio a centroid is brings its own second-order terms; they add up to
 /// −0.02·h/σ of the variance.
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.7 … 64 px
 /// wide (pixels and their noise widen a line: 0.5 px measures as 0.7), whose columns
-/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]), which are not too fine
-/// ([`FINE_GRAIN_PX`]); for finders other than the centroid if speckle is all but
-/// averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
+/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    /// Narrowest line it is valid for, px.
-    narrowest: f64,
+    /// Whether grains are fine beside a pixel.
+    fine: bool,
     /// Relative variance of the light of a pixel.
     pixel_variance: f64,
+    /// Variance of the mean light of neighbouring columns over that of one.
+    beside: f64,
     /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
     nodes: Vec<Variances>,
 }
@@ -85,12 +97,12 @@ impl ErrorModel {
         let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
         let (least, most) = SIGMAS_PX;
         let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
-        let fine = grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0);
         ErrorModel {
             finder,
             gain_dn_per_e,
-            narrowest: if fine { FINE_GRAIN_PX.1 } else { least },
+            fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
             pixel_variance: covariance[0],
+            beside: variance_of_mean(&covariance),
             nodes: (0..NODES)
                 .map(|i| Variances::of(finder, sigma(i), &covariance))
                 .collect(),
@@ -106,30 +118,43 @@ impl ErrorModel {
     }
 
     /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
-    /// peaks for which it is not valid. `peaks` are those of one frame, in the order
-    /// of columns; a line's width is that of its neighbourhood, as one column's is
-    /// mostly speckle.
+    /// peaks for which it is not valid, and for centroids takes [`Flags::SATURATED`]
+    /// from those of which only grains are. `peaks` are those of one frame, in the
+    /// order of columns; a line's width is that of its neighbourhood, as one column's
+    /// is mostly speckle, and that of its climb.
     pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
-        let widths = line_widths(peaks);
+        let runs = runs(peaks);
+        let expected = expected(peaks, &runs);
         let shape =
             self.finder == PeakFinder::Centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE;
-        let of = |(peak, width): (&mut Peak, Option<f64>)| {
-            let sigma = width.unwrap_or(peak.sigma);
+        let of = |((peak, expected), run): ((&mut Peak, Option<Expected>), &Run)| {
+            let (sigma, climb) = expected.map_or((peak.sigma, 0.0), |e| (e.sigma, e.climb));
             let at = self.at(sigma);
             let n = peak.intensity;
-            let variance = at.speckle
+            let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
+                true => FINE_GRAIN_VARIANCE,
+                false => 0.0,
+            };
+            let variance = at.speckle * (1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb)
                 + at.shot * self.gain_dn_per_e / n
                 + at.white * (peak.noise / n).powi(2)
                 + bias(self.finder, sigma).powi(2) / 3.0;
+            if self.finder == PeakFinder::Centroid
+                && expected.is_some_and(|e| e.saturates_in_grains(peak))
+            {
+                peak.flags.remove(Flags::SATURATED);
+            }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
-                && width.is_some()
-                && (self.narrowest..=SIGMAS_PX.1).contains(&sigma)
+                && expected.is_some()
+                && (SIGMAS_PX.0..=SIGMAS_PX.1).contains(&sigma)
                 && at.light <= LARGEST_LIGHT_VARIANCE
                 && shape;
             peak.flags.set(Flags::OUTSIDE, !inside);
-            variance.sqrt()
+            let cut = expected.map_or(0.0, |e| e.cut(at.light * self.beside));
+            (variance + bend_variance(run, variance) + cut * cut).sqrt()
         };
-        peaks.iter_mut().zip(widths).map(of).collect()
+        let all = peaks.iter_mut().zip(expected).zip(&runs);
+        all.map(of).collect()
     }
 
     fn at(&self, sigma: f64) -> Variances {
@@ -148,6 +173,14 @@ impl ErrorModel {
     }
 }
 
+/// Variance (px²) of the difference between the mean row of a line over a column and its
+/// row in the column's middle, where it bends by K rows a column at a place t of it:
+/// K·(½ − |t|)²/2, whose mean square over all t is K²/320. Of the bend that was measured
+/// errors of the rows, of this `variance`, make six times theirs.
+fn bend_variance(run: &Run, variance: f64) -> f64 {
+    (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
+}
+
 /// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
 /// a thousandth of it all: ∫μ² beyond r falls as (h/r)²/60.
 fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
@@ -156,6 +189,17 @@ fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
         grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
     };
     (0..=lags).map(covariance).collect()
+}
+
+/// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one.
+fn variance_of_mean(covariance: &[f64]) -> f64 {
+    let n = 2 * BESIDE + 1;
+    let at = |lag: usize| covariance.get(lag).copied().unwrap_or(0.0);
+    if at(0) == 0.0 {
+        return 1.0;
+    }
+    let pairs: f64 = (1..n).map(|lag| 2.0 * (n - lag) as f64 * at(lag)).sum();
+    (n as f64 + pairs / at(0)) / (n * n) as f64
 }
 
 impl Variances {
@@ -244,28 +288,6 @@ fn bias(finder: PeakFinder, sigma: f64) -> f64 {
     }
 }
 
-/// Width of each line: that of the lines without flags around it; its own without
-/// any.
-///
-/// `None` where more than a tenth of the neighbours are flagged as wide: those left
-/// are then the narrow ones of lines that are wider, as on a steep wall, and would
-/// give too small a width.
-fn line_widths(peaks: &[Peak]) -> Vec<Option<f64>> {
-    let columns = peaks.last().map_or(0, |p| p.column as usize + 1);
-    let those = |chosen: fn(&Peak) -> bool| {
-        let chosen = peaks.iter().filter(move |p| chosen(p));
-        Neighbourhood::new(columns, chosen.map(|p| (p.column, p.sigma)))
-    };
-    let alike = those(|p| p.flags.difference(Flags::OUTSIDE).is_empty());
-    let wide = those(|p| p.flags.contains(Flags::WIDE));
-    let width = |peak: &Peak| {
-        let (count, width) = alike.around(peak.column);
-        let (wider, _) = wide.around(peak.column);
-        (9 * wider <= count).then(|| width.unwrap_or(peak.sigma))
-    };
-    peaks.iter().map(width).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -302,37 +324,25 @@ mod tests {
         assert!(white(PeakFinder::LogParabola) > fit && white(PeakFinder::DerivativeZero) > fit);
     }
 
-    /// A wide line at column 50 among narrower ones counts as wide as these; flagged
-    /// ones do not count.
+    /// An even stretch of σ = W/√12 has ∫E²x²/(∫E)² = W/12, a Gaussian σ/(4√π); and the
+    /// bias of a bend is the mean row less that in the middle, here summed.
     #[test]
-    fn a_width_is_that_of_the_neighbourhood() {
-        let peak = |column| Peak {
-            column,
-            row: 10.0,
-            intensity: 1e3,
-            height: 100.0,
-            sigma: if column % 2 == 0 { 3.0 } else { 5.0 },
-            noise: 1.0,
-            flags: if column == 7 {
-                Flags::WIDE
-            } else {
-                Flags::empty()
-            },
+    fn constants_of_stretches_and_bends_are_what_they_are_said_to_be() {
+        let ratio = (12f64.sqrt() / 12.0) / (1.0 / (4.0 * PI.sqrt()));
+        assert!((ratio - SPECKLE_OF_A_STRETCH).abs() < 1e-4, "{ratio}");
+        let n = 400;
+        let at = |i: usize| (i as f64 + 0.5) / n as f64 - 0.5;
+        let row = |x: f64, t: f64| (x - t).max(0.0);
+        let bias = |t: f64| (0..n).map(|i| row(at(i), t)).sum::<f64>() / n as f64 - row(0.0, t);
+        let square = (0..n).map(|i| bias(at(i)).powi(2)).sum::<f64>() / n as f64;
+        let run = Run {
+            slope: 0.0,
+            bend: 1.0,
         };
-        let mut peaks: Vec<Peak> = (0..100).map(peak).collect();
-        peaks[7].sigma = 1e3;
-        let widths = line_widths(&peaks);
-        for width in widths {
-            // Fewest and most wide ones: 15 of the first 32 that count, 17 of the
-            // last 33.
-            let square = width.unwrap().powi(2);
-            assert!((16.49..=17.25).contains(&square), "{square}");
-        }
-        for peak in &mut peaks[60..70] {
-            peak.flags = Flags::WIDE;
-        }
-        let widths = line_widths(&peaks);
-        assert!(widths[65].is_none() && widths[20].is_some());
-        assert_eq!(line_widths(&[]), []);
+        assert!(
+            (square / bend_variance(&run, 0.0) - 1.0).abs() < 1e-3,
+            "{square}"
+        );
+        assert_eq!(bend_variance(&run, 1.0), 0.0);
     }
 }

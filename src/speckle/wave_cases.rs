@@ -14,6 +14,7 @@ pub fn reference_cases() -> Vec<MotionCase> {
     let mut cases = straight_camera();
     cases.extend(oblique_camera());
     cases.extend(out_of_focus());
+    cases.extend(grazing_camera());
     cases
 }
 
@@ -116,5 +117,20 @@ fn out_of_focus() -> Vec<MotionCase> {
         case("focus 20 mm far: tilt 3 mrad", view(320.0), tilt(0.0, 3.0)),
         case("focus 20 mm near: tilt and shift", view(280.0), both),
         case("focus 20 mm far: tilt and shift", view(320.0), both),
+    ]
+}
+
+/// Camera 80° from the normal, away from the laser.
+fn grazing_camera() -> Vec<MotionCase> {
+    let (sin, cos) = 80f64.to_radians().sin_cos();
+    let view = SurfaceView {
+        pupil_centre: 300.0 * DVec3::new(-sin, 0.0, cos),
+        image_x: DVec3::Y,
+        ..view_with_laser_at(30.0)
+    };
+    vec![
+        case("camera at 80°: tilt 1 mrad", view, tilt(0.0, 1.0)),
+        case("camera at 80°: 0.3 mm in plane", view, part(0.3, 0.0, 0.0)),
+        case("camera at 80°: 1 mm across", view, part(0.0, 1.0, 0.0)),
     ]
 }
