@@ -110,7 +110,7 @@ fn other_instructions_meet_the_same_triangles() {
 fn a_frames_rays_are_the_same_with_avx2() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/bracket.stl");
     let mesh = crate::mesh::load(&file, 1.0).unwrap();
-    let part = PartBox::new(&mesh);
+    let part = PartBox::new(mesh.bounds());
     let eye = DVec3::new(0.0, -126.0, 233.2);
     let at = |i: usize| {
         let share = DVec2::new((i % 320) as f64 / 320.0, (i / 320) as f64 / 128.0) - 0.5;
@@ -138,10 +138,10 @@ fn a_frames_rays_are_the_same_with_avx2() {
                 let far = Nearest {
                     distance: f64::INFINITY,
                     point: DVec3::ZERO,
-                    triangle: 0,
+                    face: crate::accel::Face::of_mesh(0),
                 };
                 let nearest = tree.nearest(at(i * 20), &part, far);
-                (nearest.triangle, nearest.distance.to_bits())
+                (nearest.face.triangle, nearest.distance.to_bits())
             })
             .collect();
         (hits, shadows, nearest)
