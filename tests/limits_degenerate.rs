@@ -59,7 +59,10 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
         for (found, truth) in closest(&with, &rays).iter().zip(closest(&without, &rays)) {
             if let Some(hit) = found {
                 assert!(hit.point.is_finite() && hit.normal.is_finite() && hit.t.is_finite());
-                assert!((hit.triangle as usize) < sound.triangles.len(), "{hit:?}");
+                assert!(
+                    (hit.face.triangle as usize) < sound.triangles.len(),
+                    "{hit:?}"
+                );
             }
             off += match (found, truth) {
                 (Some(found), Some(truth)) => usize::from((found.t - truth.t).abs() > 1e-5),

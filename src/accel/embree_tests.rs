@@ -138,7 +138,7 @@ fn a_frames_rays_are_the_same_with_avx2() {
                 let far = Nearest {
                     distance: f64::INFINITY,
                     point: DVec3::ZERO,
-                    face: crate::accel::Face::of_mesh(0),
+                    face: Face::of_mesh(0),
                 };
                 let nearest = tree.nearest(at(i * 20), &part, far);
                 (nearest.face.triangle, nearest.distance.to_bits())
