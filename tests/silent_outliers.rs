@@ -79,7 +79,7 @@ const UNSEEN: [Unseen; 4] = [
         exposure_ms: 0.2,
         frames: 41,
         step_mm: 0.4,
-        suspected: 0.35,
+        suspected: 0.4,
     },
     Unseen {
         name: "a stepped block turned by 35°, 40°",

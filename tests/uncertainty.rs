@@ -121,11 +121,10 @@ fn intervals_of_95_percent_hold_the_truth_of_plane_and_sphere() {
     }
 }
 
-/// The corners of the domain: lines of few pixels, of few grains and of fine grain.
-/// 0.3 % is the standard error of the coverage where grains are 7 px wide and
-/// 41 472 points are 5 000 independent ones; the rms is off by the finder's second
-/// order and, on fine grain, by the 3 % of contrast that samples within a pixel may
-/// add.
+/// The corners of the domain: lines of few pixels, of few grains and of fine grain. The
+/// rms is off by the second order of the centroid's ratio, by less than 5 %: errors as
+/// much smaller or larger than predicted give a coverage of 96.1 or 93.8 %. Grains of 7 px
+/// make 13 000 independent points of 110 592; three standard errors of 0.2 % lie on top.
 #[test]
 fn intervals_hold_the_truth_up_to_the_domains_edges() {
     for (waist_um, f_number, exposure_ms) in [
@@ -140,14 +139,14 @@ fn intervals_hold_the_truth_up_to_the_domains_edges() {
         scene.camera.sensor.exposure_ms = exposure_ms;
         scene.camera.sensor.gain_dn_per_e = 0.1;
         scene.camera.sensor.full_well_e = 40_000.0;
-        let found = errors(&points(scene, 3), |p| p.position.z);
+        let found = errors(&points(scene, 8), |p| p.position.z);
         let text = format!(
             "{waist_um} µm at f/{f_number}: {} points, {}, {}, {}",
             found.points, found.unflagged, found.coverage, found.rms
         );
         println!("{text}");
         assert!(found.unflagged > 0.9, "{text}");
-        assert!((0.94..=0.96).contains(&found.coverage), "{text}");
+        assert!((0.932..=0.967).contains(&found.coverage), "{text}");
         assert!((found.rms - 1.0).abs() < 0.05, "{text}");
     }
 }
