@@ -86,10 +86,12 @@ impl Period {
     pub fn places(self, around: f64, offsets: f32x4) -> ([usize; 4], f32x4) {
         const ONE: i32 = 1 << FOURS_BITS;
         let period = i32x4::splat(self.texels as i32 * ONE);
-        let around = (self.reduced(around) * ONE as f64) as i32;
-        let steps = i32x4::splat(around) + (offsets * ONE as f32).fast_round_int();
-        let steps = steps + (steps.simd_lt(i32x4::ZERO) & period);
-        let steps = steps - (!steps.simd_lt(period) & period);
+        // Not a checked cast.
+        let around = Fixed::new(self.reduced(around)).0 >> (FRACTION_BITS - FOURS_BITS);
+        let steps = i32x4::splat(around as i32) + (offsets * ONE as f32).fast_round_int();
+        // The sign's bit all over: a period more, if it is set.
+        let wrapped = |steps: i32x4| -> i32x4 { steps + ((steps >> 31_i32) & period) };
+        let steps: i32x4 = wrapped(wrapped(steps) - period);
         let indices = (steps >> FOURS_BITS).to_array().map(|index| index as usize);
         let fractions = (steps & i32x4::splat(ONE - 1)).round_float() * (1.0 / ONE as f32);
         (indices, fractions)
