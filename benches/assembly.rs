@@ -2,12 +2,18 @@
 //! that of one copy and of the same assembly as one mesh. Answers are checked; ratios
 //! are medians of interleaved pairs.
 
+#[path = "../tests/flattened/mod.rs"]
+mod flattened;
+mod pairs;
+
 use criterion::{Criterion, criterion_group, criterion_main};
+use flattened::flattened;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::scene::Scene;
+use pairs::{print_ratio, seconds};
 use std::path::Path;
 use std::time::Instant;
 
@@ -20,21 +26,6 @@ fn poses() -> Vec<Rigid> {
     (0..1000).map(place).collect()
 }
 
-fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
-    let vertices = mesh.positions.len() as u32;
-    let places = poses
-        .iter()
-        .flat_map(|pose| mesh.positions.iter().map(|&p| pose.point(p)));
-    let numbers = (0..poses.len() as u32).flat_map(|copy| {
-        let triangles = mesh.triangles.iter();
-        triangles.map(move |t| t.map(|v| v + copy * vertices))
-    });
-    Mesh {
-        positions: places.collect(),
-        triangles: numbers.collect(),
-    }
-}
-
 /// The demo's sensor over a mesh and copies of it.
 fn scene(mesh: Mesh, copies: Vec<Rigid>) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
@@ -43,21 +34,6 @@ fn scene(mesh: Mesh, copies: Vec<Rigid>) -> Scene {
         copies,
         ..Scene::load(&path).unwrap()
     }
-}
-
-/// Seconds that `run` takes.
-fn seconds<T>(run: impl FnOnce() -> T) -> f64 {
-    let start = Instant::now();
-    std::hint::black_box(run());
-    start.elapsed().as_secs_f64()
-}
-
-/// Prints the median and the quartiles of `n` ratios.
-fn print_ratio(name: &str, n: usize, ratio: impl FnMut(usize) -> f64) {
-    let mut ratios: Vec<f64> = (0..n).map(ratio).collect();
-    ratios.sort_by(f64::total_cmp);
-    let [low, middle, high] = [1, 2, 3].map(|quarter| ratios[quarter * (n - 1) / 4]);
-    println!("{name}: {middle:.3} (median of {n} pairs; quartiles {low:.3}, {high:.3})");
 }
 
 /// Resident bytes of this program, where the system says it in Linux's way.

@@ -7,16 +7,18 @@
 //! Single figures move with the machine's load; ratios are medians of interleaved
 //! pairs.
 
+mod pairs;
+
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
 use lasertrace::batch::Simulation;
 use lasertrace::integrator::{Sampling, Sheet, footprint_image, irradiance_image};
 use lasertrace::scene::Scene;
+use pairs::{print_ratio, seconds};
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::io::Write;
 use std::path::Path;
-use std::time::Instant;
 
 /// Columns and rows of pixels.
 const SENSOR: [usize; 2] = [2048, 1088];
@@ -110,21 +112,6 @@ fn scene(triangles: f64) -> Scene {
     let path = folder.path().join("scene.toml");
     std::fs::write(&path, SCENE).unwrap();
     Scene::load(&path).unwrap()
-}
-
-/// Seconds that `run` takes.
-fn seconds<T>(run: impl FnOnce() -> T) -> f64 {
-    let start = Instant::now();
-    std::hint::black_box(run());
-    start.elapsed().as_secs_f64()
-}
-
-/// Prints the median and the quartiles of `n` ratios.
-fn print_ratio(name: &str, n: usize, ratio: impl FnMut(usize) -> f64) {
-    let mut ratios: Vec<f64> = (0..n).map(ratio).collect();
-    ratios.sort_by(f64::total_cmp);
-    let [low, middle, high] = [1, 2, 3].map(|quarter| ratios[quarter * (n - 1) / 4]);
-    println!("{name}: {middle:.3} (median of {n} pairs; quartiles {low:.3}, {high:.3})");
 }
 
 /// A frame as a scan takes it, but for its files: number of points.

@@ -2,13 +2,15 @@
 //! copy moved in f64 into one mesh: images, profiles without an image, deviations,
 //! coverage, under every backend. The figures printed are those of DESIGN.md.
 
+mod flattened;
 mod program;
 
 use clap::ValueEnum;
+use flattened::flattened;
 use lasertrace::accel::Backend;
 use lasertrace::batch::Simulation;
 use lasertrace::math::{DVec3, Rigid};
-use lasertrace::mesh::{Mesh, shapes};
+use lasertrace::mesh::shapes;
 use lasertrace::scene::Scene;
 use program::{assert_error, folder_with, run};
 use std::fmt::Write;
@@ -29,21 +31,6 @@ fn poses() -> Vec<Rigid> {
         pose([180.0, 0.0, 10.0], [-22.0, 16.0, 26.0]),
         pose([0.0, 0.0, 45.0], [90.0, 0.0, 0.0]),
     ]
-}
-
-fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
-    let vertices = mesh.positions.len() as u32;
-    let places = poses
-        .iter()
-        .flat_map(|pose| mesh.positions.iter().map(|&p| pose.point(p)));
-    let numbers = (0..poses.len() as u32).flat_map(|copy| {
-        let triangles = mesh.triangles.iter();
-        triangles.map(move |t| t.map(|v| v + copy * vertices))
-    });
-    Mesh {
-        positions: places.collect(),
-        triangles: numbers.collect(),
-    }
 }
 
 /// The demo's sensor over the assembly, and over its twin.

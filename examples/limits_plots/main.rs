@@ -4,6 +4,8 @@
 //!     cargo run --release --example limits_plots
 
 mod plot;
+#[path = "../../tests/random/mod.rs"]
+mod random;
 mod rays;
 
 use glam::DVec2;

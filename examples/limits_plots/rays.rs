@@ -1,38 +1,11 @@
 //! Rays and triangles at their limits.
 
 use crate::plot::{Curve, Panel};
+use crate::random::Random;
 use glam::{DVec2, DVec3};
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
 use lasertrace::math::Rigid;
-use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::mesh::{Mesh, shapes};
-
-/// Uniform numbers from −1 to 1, the same on every run.
-struct Random(Key, u64);
-
-impl Random {
-    fn new(seed: u64) -> Random {
-        Random(Key::new(seed, Purpose::SensorNoise), 0)
-    }
-
-    fn next(&mut self) -> f64 {
-        self.1 += 1;
-        2.0 * self.0.uniform(self.1) - 1.0
-    }
-
-    fn vector(&mut self) -> DVec3 {
-        DVec3::from_array(std::array::from_fn(|_| self.next()))
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        loop {
-            let v = self.vector();
-            if (0.1..1.0).contains(&v.length()) {
-                return v.normalize();
-            }
-        }
-    }
-}
 
 fn closest(accel: &Accel, rays: &[Ray]) -> Vec<Option<Hit>> {
     let packets = rays.chunks(WIDTH);
@@ -59,8 +32,8 @@ pub fn poses() -> Panel {
         let mut worst = [0.0f64; 3];
         for _ in 0..4000 {
             let at = random.direction() * sizes;
-            let pose = Rigid::from_euler_xyz(random.vector() * 3.0, at);
-            let (eye, target) = (at + random.direction() * 3.0, at + random.vector() * 0.2);
+            let pose = Rigid::from_euler_xyz(random.vector(1.0) * 3.0, at);
+            let (eye, target) = (at + random.direction() * 3.0, at + random.vector(1.0) * 0.2);
             let inverse = pose.inverse();
             let ray = endless(inverse.point(eye), inverse.point(target));
             let Some(hit) = &accel.closest(&[ray], |_, _| true)[0] else {
@@ -126,14 +99,17 @@ pub fn slivers() -> Panel {
         for i in 0..200u32 {
             let tip = random.direction() * 10.0;
             mesh.positions
-                .extend([tip, tip + random.vector() * 10.0 * width]);
+                .extend([tip, tip + random.vector(1.0) * 10.0 * width]);
             mesh.triangles.push([0, 2 * i + 1, 2 * i + 2]);
         }
         let accel = Accel::build(&mesh, 1).unwrap();
         let (mut off, mut beside) = (0.0f64, 0.0f64);
         for i in 0..20_000 {
             let triangle = mesh.triangle(i % 200);
-            let (u, v) = ((random.next() + 1.0) / 4.0, (random.next() + 1.0) / 4.0);
+            let (u, v) = (
+                (random.between(-1.0, 1.0) + 1.0) / 4.0,
+                (random.between(-1.0, 1.0) + 1.0) / 4.0,
+            );
             let [a, b, c] = triangle;
             let p = a + (b - a) * u + (c - a) * v;
             off = off.max(by_barycentric(p, triangle).distance(p) / 10.0);
@@ -176,7 +152,7 @@ pub fn shells() -> Panel {
         let mut random = Random::new(5);
         let eye = turn.point(DVec3::new(0.1, -1.0, 2.0) * half);
         let lamp = turn.point(DVec3::new(0.3, 0.2, 2.5) * half);
-        let target = |random: &mut Random| (random.vector() * 0.9 * half).with_z(gap);
+        let target = |random: &mut Random| (random.vector(1.0) * 0.9 * half).with_z(gap);
         let rays: Vec<Ray> = (0..20_000)
             .map(|_| endless(eye, turn.point(target(&mut random))))
             .collect();

@@ -62,17 +62,15 @@ impl DarkCounts {
     /// `pixel` gives the key of a pixel.
     #[inline]
     pub fn draw(&self, counts: &mut [u16], bits: u64, pixel: impl Fn(usize) -> Key) {
-        let drawn: [u32; GROUP] = std::array::from_fn(|i| {
-            self.cells[(bits >> (CELL_BITS as usize * i)) as usize % CELLS]
-        });
+        let cell = |i: usize| (bits >> (CELL_BITS as usize * i)) as usize % CELLS;
+        let drawn: [u32; GROUP] = std::array::from_fn(|i| self.cells[cell(i)]);
         for (count, drawn) in counts.iter_mut().zip(drawn) {
             *count = drawn as u16;
         }
         if drawn.contains(&MIXED) {
             for i in (0..counts.len()).filter(|&i| drawn[i] == MIXED) {
-                let cell = (bits >> (CELL_BITS as usize * i)) as usize % CELLS;
                 let within = pixel(i).uniform(0);
-                counts[i] = self.quantile((cell as f64 + within) / CELLS as f64);
+                counts[i] = self.quantile((cell(i) as f64 + within) / CELLS as f64);
             }
         }
     }

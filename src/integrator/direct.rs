@@ -146,7 +146,7 @@ impl Frame<'_> {
         let size = [columns, self.pixels.rows];
         let alike = match around {
             0 => wanted,
-            _ => wanted & window.alike(band, first, size, wanted),
+            _ => window.alike(band, first, size, wanted),
         };
         let centers = window.tile(band, first);
         for pixel in (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1) {

@@ -66,13 +66,9 @@ impl Window {
     /// wanted must have been filled in.
     pub fn alike(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
         let here = self.tile(band, first);
-        let Some(origin) = here.iter().find_map(|center| Some(center.plane()?.point)) else {
-            // Nothing else is seen here; around it may be.
-            let around = Around::new(self, band, first, size, DVec3::ZERO);
-            return around.all_nothing(wanted);
-        };
-        let around = Around::new(self, band, first, size, origin);
-        around.alike(wanted)
+        // Where nothing is seen no planes are compared.
+        let origin = here.iter().find_map(|center| Some(center.plane()?.point));
+        Around::new(self, band, first, size, origin.unwrap_or_default()).alike(wanted)
     }
 }
 
@@ -160,12 +156,8 @@ impl Around {
         pixels.fold(0, |bits, pixel| bits | 1 << pixel)
     }
 
-    fn all_nothing(&self, wanted: u16) -> u16 {
-        Around::pixels(wanted, |cell| self.nothing >> cell & NINE == NINE)
-    }
-
     fn alike(&self, wanted: u16) -> u16 {
-        let nothing = self.all_nothing(wanted);
+        let nothing = Around::pixels(wanted, |cell| self.nothing >> cell & NINE == NINE);
         let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
         let surface = Around::pixels(wanted & !nothing, |cell| {
             let near = |bits: u64| bits >> cell & NINE != 0;
