@@ -167,7 +167,9 @@ impl<'a> Reader<'a> {
         PixelReader {
             reader: self,
             field: match &self.source {
-                Source::InFocus(field) if extent.max_element() < field.period() => Some(field),
+                Source::InFocus(field) if extent.max_element() <= 2.0 * FrameField::REACH => {
+                    Some(field)
+                }
                 _ => None,
             },
             centre,
@@ -180,7 +182,7 @@ impl<'a> Reader<'a> {
 /// Speckle within a pixel, over which the pattern is not bent.
 pub(super) struct PixelReader<'a> {
     reader: &'a Reader<'a>,
-    /// One in focus whose period is larger than the pixel.
+    /// One in focus, of a pixel within its reach.
     field: Option<&'a FrameField>,
     centre: DVec2,
     at: DVec2,

@@ -1,5 +1,5 @@
-//! Coordinates as integers: wrapping is masking or a comparison, and neither `floor`
-//! nor a checked cast, calls and branches on baseline x86-64, is in the hot loop.
+//! Coordinates as integers: wrapping is masking or a comparison at most, and neither
+//! `floor` nor a checked cast, calls and branches on baseline x86-64, is in the hot loop.
 
 use wide::{f32x4, i32x4};
 
@@ -80,23 +80,24 @@ impl Period {
         (wrapped, x.fraction())
     }
 
-    /// The same for `around` + each of four `offsets` less than a period in size, to
-    /// 2⁻¹⁶.
+    /// The same for `around` + each of four `offsets` of at most [`REACH`] in size, to
+    /// 2⁻¹⁶, but that the index may pass the period by twice as much: a table that goes
+    /// on so far needs no wrapping.
     #[inline(always)]
-    pub fn places(self, around: f64, offsets: f32x4) -> ([usize; 4], f32x4) {
+    pub fn near(self, around: f64, offsets: f32x4) -> (i32x4, f32x4) {
         const ONE: i32 = 1 << FOURS_BITS;
-        let period = i32x4::splat(self.texels as i32 * ONE);
+        let low = self.reduced(around - REACH as f64);
         // Not a checked cast.
-        let around = Fixed::new(self.reduced(around)).0 >> (FRACTION_BITS - FOURS_BITS);
-        let steps = i32x4::splat(around as i32) + (offsets * ONE as f32).fast_round_int();
-        // The sign's bit all over: a period more, if it is set.
-        let wrapped = |steps: i32x4| -> i32x4 { steps + ((steps >> 31_i32) & period) };
-        let steps: i32x4 = wrapped(wrapped(steps) - period);
-        let indices = (steps >> FOURS_BITS).to_array().map(|index| index as usize);
+        let low = Fixed::new(low).0 >> (FRACTION_BITS - FOURS_BITS);
+        let offsets = (offsets * ONE as f32).fast_round_int();
+        let steps: i32x4 = i32x4::splat(low as i32 + REACH as i32 * ONE) + offsets;
         let fractions = (steps & i32x4::splat(ONE - 1)).round_float() * (1.0 / ONE as f32);
-        (indices, fractions)
+        (steps >> FOURS_BITS, fractions)
     }
 }
+
+/// Texels that four coordinates together may be off their middle.
+pub const REACH: usize = 8;
 
 #[cfg(test)]
 mod tests {
@@ -125,26 +126,27 @@ mod tests {
         }
     }
 
-    /// Exact in steps of 2⁻¹⁶, wherever the sum wraps.
+    /// Exact in steps of 2⁻¹⁶, on both sides of where a table wraps.
     #[test]
     fn places_are_floor_and_rest_modulo_the_period() {
         for size in [96, 384, 8192] {
             let period = Period::new(size);
             for x in [0.25, 8191.75, -0.5, 1e6 + 0.5, -384.0, 383.75, 95.5] {
-                let offsets = [0.0, 0.75, -3.5, 95.25];
-                let (indices, fractions) = period.places(x, f32x4::from(offsets));
+                let offsets = [0.0, 0.75, -8.0, 8.0];
+                let (indices, fractions) = period.near(x, f32x4::from(offsets));
                 for (i, offset) in offsets.into_iter().enumerate() {
                     let at = x + offset as f64;
                     let index = (at.floor() as i64).rem_euclid(size as i64) as usize;
                     let place = (index, (at - at.floor()) as f32);
                     assert_eq!(period.place(at), place, "{size} {x} {offset}");
-                    let four = (indices[i], fractions.to_array()[i]);
+                    let found = indices.to_array()[i] as usize;
+                    assert!(found <= size + 2 * REACH, "{size} {x} {offset}: {found}");
+                    let four = (found % size, fractions.to_array()[i]);
                     assert_eq!(four, place, "{size} {x} {offset}");
                 }
             }
             // Below zero by less than a step: at zero again, not at the period.
             assert_eq!(period.place(-1e-30), (0, 0.0));
-            assert_eq!(period.places(-1e-30, f32x4::ZERO).0, [0; 4]);
         }
     }
 }

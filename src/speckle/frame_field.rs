@@ -9,7 +9,7 @@
 //! phase across the pupil does, defocus foremost, is done to the phasors.
 
 use super::coordinate::GrainMap;
-use super::fixed::Period;
+use super::fixed::{Period, REACH};
 use super::lookup::{Coherence, Layer};
 use super::pattern::{Aperture, Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
@@ -18,7 +18,7 @@ use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::PI;
-use wide::f32x4;
+use wide::{f32x4, i32x4};
 
 /// Where a frame's pupil stands among the speckle field's phasors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,7 +93,7 @@ impl FrameFields {
 
     /// Bytes of a field.
     pub fn field_memory(&self) -> usize {
-        (self.spec.size + 1).pow(2) * size_of::<Complex32>()
+        (self.spec.size + MARGIN).pow(2) * size_of::<Complex32>()
     }
 
     /// The field at `place`.
@@ -147,7 +147,7 @@ impl FrameFields {
 
     fn transform(&self, columns: &Columns) -> FrameField {
         let size = self.spec.size;
-        let stride = size + 1;
+        let stride = size + MARGIN;
         let mut texels = vec![Complex32::ZERO; stride * stride];
         let (period, last) = texels.split_at_mut(size * stride);
         let blocks = period.par_chunks_exact_mut(ROWS * stride).enumerate();
@@ -157,10 +157,11 @@ impl FrameFields {
                 let mut rows = rows_of(texels, stride);
                 let period = rows.each_mut().map(|row| &mut row[..size]);
                 self.plane.rows(columns, block, period, scratch);
-                rows.into_iter().for_each(|row| row[size] = row[0]);
+                rows.into_iter()
+                    .for_each(|row| row.copy_within(..MARGIN, size));
             },
         );
-        last.copy_from_slice(&period[..stride]);
+        last.copy_from_slice(&period[..MARGIN * stride]);
         FrameField {
             period: Period::new(size),
             stride,
@@ -174,11 +175,15 @@ impl FrameFields {
     }
 }
 
+/// Texels of a field that repeat its first ones, so that four places at a time and the
+/// taps to their right and below need not be wrapped: what [`Period::near`] takes, one for
+/// the tap, and one because rounding may give the period itself.
+const MARGIN: usize = 2 * REACH + 2;
+
 /// A field in memory, read by linear interpolation.
 pub struct FrameField {
     period: Period,
-    /// Texels per row, and rows: one more than the period, so that the taps to the
-    /// right and below never wrap.
+    /// Texels per row, and rows: [`MARGIN`] more than the period.
     stride: usize,
     texels: Vec<Complex32>,
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
@@ -190,10 +195,8 @@ pub struct FrameField {
 }
 
 impl FrameField {
-    /// Texels after which it repeats.
-    pub fn period(&self) -> f64 {
-        (self.stride - 1) as f64
-    }
+    /// Texels that places read together may be off their middle.
+    pub const REACH: f64 = REACH as f64;
 
     /// Speckle intensity at (s, t) in texels, mean 1.
     #[inline(always)]
@@ -209,8 +212,8 @@ impl FrameField {
         sum
     }
 
-    /// The same at the first `count` of four places, `s` and `t` texels (less than a
-    /// period) from `at`; differs by rounding. Zero at the others.
+    /// The same at the first `count` of four places, `s` and `t` texels (at most
+    /// [`FrameField::REACH`]) from `at`; differs by rounding. Zero at the others.
     #[inline(always)]
     pub fn around(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
         let mut sum = self.first_weight * self.powers(at, s, t, count);
@@ -222,16 +225,16 @@ impl FrameField {
 
     #[inline(always)]
     fn powers(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
-        let (columns, fs) = self.period.places(at.x, s);
-        let (rows, ft) = self.period.places(at.y, t);
-        let down = ft.to_array();
+        let (columns, fs) = self.period.near(at.x, s);
+        let (rows, ft) = self.period.near(at.y, t);
+        let firsts: i32x4 = rows * i32x4::splat(self.stride as i32) + columns;
+        let (firsts, down) = (firsts.to_array(), ft.to_array());
         let sides = |i: usize| {
             if i >= count {
                 return f32x4::ZERO;
             }
-            let (top, bottom) = self.pairs(rows[i], columns[i]);
-            let sides = top + down[i] * (bottom - top);
-            f32x4::from(sides.to_array())
+            let (top, bottom) = self.pairs(firsts[i] as usize);
+            f32x4::from((top + down[i] * (bottom - top)).to_array())
         };
         let sides = [sides(0), sides(1), sides(2), sides(3)];
         let [re, im, right_re, right_im] = f32x4::transpose(sides);
@@ -242,13 +245,13 @@ impl FrameField {
 
     /// A texel with its neighbour to the right, and those below.
     #[inline(always)]
-    fn pairs(&self, row: usize, column: usize) -> (Vec4, Vec4) {
+    fn pairs(&self, first: usize) -> (Vec4, Vec4) {
+        let texels = &self.texels[first..][..self.stride + 2];
         let pair = |at: usize| {
-            let pair = &self.texels[at..][..2];
+            let pair = &texels[at..at + 2];
             Vec4::new(pair[0].re, pair[0].im, pair[1].re, pair[1].im)
         };
-        let top = row * self.stride + column;
-        (pair(top), pair(top + self.stride))
+        (pair(0), pair(self.stride))
     }
 
     /// The blend of four texels, and what to multiply its power by for the variance
@@ -259,7 +262,7 @@ impl FrameField {
         let (row, ft) = self.period.place(at.y);
         let gain =
             1.0 / ((1.0 - fs * (1.0 - fs) * self.lost.x) * (1.0 - ft * (1.0 - ft) * self.lost.y));
-        let (top, bottom) = self.pairs(row, column);
+        let (top, bottom) = self.pairs(row * self.stride + column);
         let sides = top + ft * (bottom - top);
         (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
     }
