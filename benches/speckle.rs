@@ -1,5 +1,5 @@
-//! Cost of one speckle reading, per method, over the samples of a row of the demo's
-//! pixels, three by three a pixel; of making a frame's field; and of making a ring of
+//! Cost of one speckle reading, per method, over the samples of a band of the demo's
+//! pixels, two by two a pixel and tile by tile, as frames read them; of making a frame's field; and of making a ring of
 //! slices. Each answer is checked.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -15,27 +15,36 @@ const PIXELS: usize = 1280;
 const PITCH: f64 = 3.75;
 const SAMPLES: usize = 4;
 
-/// Sum of the readings along a row at `t`, which rises a little as on a tilted
+/// Side of a tile, pixels.
+const TILE: usize = 4;
+
+/// Sum of the readings of a band of tiles at `t`, which rises a little as on a tilted
 /// sensor; `read` adds up a pixel's.
 #[inline(always)]
-fn row_sum(t: f64, read: impl Fn(DVec2) -> f32) -> f64 {
-    let place = |i: usize| DVec2::new(PITCH * i as f64, t + 0.01 * i as f64);
-    (0..PIXELS).map(|i| read(place(i)) as f64).sum()
+fn band_sum(t: f64, read: impl Fn(DVec2) -> f32) -> f64 {
+    let mut sum = 0.0;
+    for first in (0..PIXELS).step_by(TILE) {
+        for i in 0..TILE * TILE {
+            let (column, row) = ((first + i % TILE) as f64, (i / TILE) as f64);
+            sum += read(DVec2::new(PITCH * column, t + PITCH * row + 0.01 * column)) as f64;
+        }
+    }
+    sum
 }
 
 fn readings(c: &mut Criterion, name: &str, read: impl Fn(DVec2) -> f32) {
-    // 256 rows hold 1e6 readings of some 6e4 independent grains (2e4 of a frame's
+    // 64 bands hold 1e6 readings of some 6e4 independent grains (2e4 of a frame's
     // field): their mean strays from 1 by 0.007 (one standard deviation, contrast 1).
-    let rows = (0..256).map(|row| row_sum(4.03 * row as f64, &read));
-    let mean = rows.sum::<f64>() / (256 * PIXELS * SAMPLES) as f64;
+    let bands = (0..64).map(|band| band_sum(16.12 * band as f64, &read));
+    let mean = bands.sum::<f64>() / (64 * TILE * PIXELS * SAMPLES) as f64;
     assert!((mean - 1.0).abs() < 0.02, "{name}: mean {mean}");
     let mut group = c.benchmark_group("lookup");
-    group.throughput(Throughput::Elements((PIXELS * SAMPLES) as u64));
+    group.throughput(Throughput::Elements((TILE * PIXELS * SAMPLES) as u64));
     let mut t = 0.0;
     group.bench_function(name, |b| {
         b.iter(|| {
-            t += PITCH;
-            row_sum(black_box(t), black_box(&read))
+            t += TILE as f64 * PITCH;
+            band_sum(black_box(t), black_box(&read))
         })
     });
     group.finish();
