@@ -60,6 +60,9 @@ pub enum Found {
 const LEAF: usize = 4;
 /// Boxes of a node.
 const FAN: usize = 8;
+/// Largest diagonal of a box whose ball lies within the volume, in units of the detail: it
+/// adds no place that is not lit, but may hide that a part ends there.
+const WITHIN: f32 = 4.0;
 
 /// Eight boxes side by side, so that they are tested in one go; relative to the
 /// middle of the mesh.
@@ -127,7 +130,8 @@ impl Clusters {
 
     /// Reports every triangle that may touch all of `volume` (at most 32
     /// half-spaces), each at most once and in a fixed order. Groups whose box has
-    /// a diagonal below `detail` (mm) are reported as a ball around them.
+    /// a diagonal below `detail` (mm) are reported as a ball around them, and up to
+    /// [`WITHIN`] times that if the ball lies within the volume.
     pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(Found)) {
         assert!(volume.len() <= 32, "{} half-spaces", volume.len());
         let planes = volume.iter().map(|half| Plane {
@@ -153,11 +157,12 @@ impl Clusters {
             _ => self.levels[level - 1].len(),
         };
         let boxes = (below - FAN * index).min(FAN);
-        let (touched, crossings) = node.test(crossed, &q.planes, q.rounding);
+        let (touched, crossings, depths) = node.test(crossed, &q.planes, q.rounding);
         for lane in (0..boxes).filter(|lane| touched[*lane]) {
             let child = FAN * index + lane;
             let diagonal = node.diagonal(lane);
-            if diagonal <= q.detail {
+            let within = depths[lane] >= diagonal / 2.0;
+            if diagonal <= q.detail || within && diagonal <= WITHIN * q.detail {
                 let (center, radius) = (node.middle(lane), diagonal / 2.0);
                 (q.found)(Found::Ball {
                     center: self.center + center,
@@ -179,10 +184,17 @@ impl Clusters {
 }
 
 impl Node {
-    /// Which boxes touch all planes' insides, and which planes each crosses.
-    fn test(&self, planes: u32, all: &[Plane], rounding: f32) -> ([bool; FAN], [u32; FAN]) {
+    /// Which boxes touch the insides of all these planes, which of them each crosses, and
+    /// how deep it is inside, mm.
+    fn test(
+        &self,
+        planes: u32,
+        all: &[Plane],
+        rounding: f32,
+    ) -> ([bool; FAN], [u32; FAN], [f32; FAN]) {
         let mut touched = [true; FAN];
         let mut crossings = [0u32; FAN];
+        let mut depths = [f32::INFINITY; FAN];
         let mut left = planes;
         while left != 0 {
             let i = left.trailing_zeros();
@@ -203,9 +215,10 @@ impl Node {
             for lane in 0..FAN {
                 touched[lane] &= highest[lane] >= -rounding;
                 crossings[lane] |= u32::from(lowest[lane] < rounding) << i;
+                depths[lane] = depths[lane].min(lowest[lane]);
             }
         }
-        (touched, crossings)
+        (touched, crossings, depths)
     }
 
     fn corner(of: &[[f32; FAN]; 3], lane: usize) -> DVec3 {

@@ -121,7 +121,8 @@ impl Frame<'_> {
             while next <= band + around && next < self.pixels.bands() {
                 let tiles = self.pixels.tiles(next, around);
                 window.fill(next, tiles, |first, tile| {
-                    self.lit.centers(next, first, tile)
+                    let wanted = self.pixels.near_in_tile(next, first, around);
+                    self.lit.centers(next, first, wanted, tile)
                 });
                 next += 1;
             }
@@ -180,8 +181,12 @@ impl Frame<'_> {
             }
             let count = samples.len();
             let mut centers = [const { Center::Nothing }; WIDTH];
-            self.lit
-                .look(&places[..count], &directions[..count], &mut centers);
+            self.lit.look(
+                &places[..count],
+                &directions[..count],
+                u16::MAX,
+                &mut centers,
+            );
             let lit = samples.iter().zip(&centers);
             sum += self.with_speckle(
                 centre,

@@ -81,10 +81,12 @@ impl<'a> LitRays<'a> {
         }
     }
 
-    /// What the centres of a tile's pixels see, row by row.
-    pub fn centers(&self, band: usize, first: usize, centers: &mut [Center; WIDTH]) {
+    /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
+    /// row; the rays of all are traced.
+    pub fn centers(&self, band: usize, first: usize, wanted: u16, centers: &mut [Center; WIDTH]) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
+        let mut rays_wanted = 0;
         let mut places = [DVec2::ZERO; WIDTH];
         let mut directions = [DVec3::Z; WIDTH];
         let mut bend = DVec2::ZERO;
@@ -95,10 +97,11 @@ impl<'a> LitRays<'a> {
                 let to_sensor = self.sight.to_sensor(place);
                 directions[count] = self.sight.towards(to_sensor, &mut bend).normalize();
                 (pixels[count], places[count]) = (pixel, place);
+                rays_wanted |= (wanted >> pixel & 1) << count;
                 count += 1;
             }
         }
-        self.look(&places[..count], &directions[..count], centers);
+        self.look(&places[..count], &directions[..count], rays_wanted, centers);
         // At the sensor's border a tile has less than sixteen.
         centers[count..].fill(Center::Nothing);
         for (i, &pixel) in pixels[..count].iter().enumerate().rev() {
@@ -107,8 +110,14 @@ impl<'a> LitRays<'a> {
     }
 
     /// What rays in these directions (unit) see, up to 16, that start at the eye
-    /// from these places on the sensor.
-    pub fn look(&self, places: &[DVec2], directions: &[DVec3], centers: &mut [Center]) {
+    /// from these places on the sensor; those that are not `wanted` (as bits) nothing.
+    pub fn look(
+        &self,
+        places: &[DVec2],
+        directions: &[DVec3],
+        wanted: u16,
+        centers: &mut [Center],
+    ) {
         let mut rays = [Ray {
             origin: self.sight.eye,
             direction: DVec3::Z,
@@ -119,6 +128,9 @@ impl<'a> LitRays<'a> {
         }
         let count = directions.len();
         let near_sheet = |i: usize, t: f64| {
+            if wanted >> i & 1 == 0 {
+                return false;
+            }
             let climb = self.across.dot(directions[i]);
             (self.from_laser.eye.y + t * climb).abs() <= self.far
         };

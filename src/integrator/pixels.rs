@@ -102,6 +102,31 @@ impl Pixels {
         self.row(row)[column / 64] >> (column % 64) & 0xf
     }
 
+    /// Which pixels of the tile of a band with this first column are in the set, or within
+    /// `around` (0 or 1) columns and rows of one that is, as bits.
+    pub fn near_in_tile(&self, band: usize, first: usize, around: usize) -> u16 {
+        let top = SIDE * band;
+        let rows = top.saturating_sub(around)..(top + SIDE + around).min(self.rows);
+        rows.fold(0, |bits, row| {
+            let mut near = self.in_tile(row, first);
+            if around > 0 {
+                let beside = |column: usize| self.row(row)[column / 64] >> (column % 64) & 1;
+                near |= near << 1 | near >> 1;
+                if first > 0 {
+                    near |= beside(first - 1);
+                }
+                if first + SIDE < self.columns {
+                    near |= beside(first + SIDE) << (SIDE - 1);
+                }
+            }
+            let near = (near & 0xf) as u16;
+            // Of the rows around it that are the tile's.
+            let from = row.saturating_sub(around).max(top) - top;
+            let to = (row + around).min(top + SIDE - 1) - top;
+            (from..=to).fold(bits, |bits, row| bits | near << (SIDE * row))
+        })
+    }
+
     /// Number of a row's pixels.
     pub fn count(&self, row: usize) -> usize {
         self.row(row).iter().map(|w| w.count_ones() as usize).sum()
@@ -151,6 +176,19 @@ mod tests {
             assert_eq!(found(1, 1), wider, "{first} {last}");
             assert_eq!(found(0, 1), wider, "{first} {last}");
             assert!(found(0, 0).is_empty() && found(2, 1).is_empty());
+            let near = |band, column, around| pixels.near_in_tile(band, column, around);
+            for column in (0..2100).step_by(SIDE) {
+                for (band, around) in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 1)] {
+                    let is = |bit: usize| {
+                        let (x, y) = (column + bit % SIDE, SIDE * band + bit / SIDE);
+                        let columns = first.saturating_sub(around)..=last + around;
+                        columns.contains(&x) && y.abs_diff(4) <= around
+                    };
+                    let expected = (0..WIDTH).fold(0, |bits, bit| bits | (is(bit) as u16) << bit);
+                    let found = near(band, column, around);
+                    assert_eq!(found, expected, "{first} {last} {band} {column} {around}");
+                }
+            }
             let bits =
                 (first..=last.min(first / SIDE * SIDE + 3)).fold(0, |b, c| b | 1 << (c % SIDE));
             assert_eq!(pixels.in_tile(4, first / SIDE * SIDE), bits);

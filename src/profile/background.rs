@@ -41,12 +41,17 @@ fn students_quantile(z: f64, freedom: f64) -> f64 {
     z + first / freedom + second / (freedom * freedom)
 }
 
-/// Background of the column: from the median and its absolute deviation (×1.4826
+/// Background of the column, whose highest count this is: from the median and its absolute deviation (×1.4826
 /// for normal noise, and one count for what rounding hides), what lies further than
 /// four deviations off is left out, again and again until nothing changes. The
 /// threshold is [`students_quantile`] of `z`.
-pub(super) fn background(column: &[u16], z: f64, histogram: &mut Histogram) -> Background {
-    histogram.count(column);
+pub(super) fn background(
+    column: &[u16],
+    highest: u16,
+    z: f64,
+    histogram: &mut Histogram,
+) -> Background {
+    histogram.count(column, highest);
     let middle = column.len() / 2;
     let median = histogram.value(middle);
     // Of normal noise that lies two deviations above zero 2.3 % is cut off.
@@ -115,6 +120,7 @@ fn upper_deviation(histogram: &Histogram, median: u16, mut sigma: f64) -> f64 {
 
 /// How often each count stands in a column. A column holds a thousand pixels and,
 /// but for its line, a dozen values: what is asked of it is cheaper asked of these.
+#[derive(Default)]
 pub(super) struct Histogram {
     /// Of every fourth pixel from each of the first four: neighbours are often alike,
     /// and an increment waits for the one before it in the same place.
@@ -123,22 +129,22 @@ pub(super) struct Histogram {
 }
 
 impl Histogram {
-    /// For counts up to `highest`.
-    pub fn new(highest: u16) -> Histogram {
-        Histogram {
-            times: vec![[0; 4]; highest as usize + 1],
-            highest: 0,
+    /// The histogram must be empty, and the column no longer than a sensor's side, with
+    /// this highest count.
+    fn count(&mut self, column: &[u16], highest: u16) {
+        self.highest = highest as usize;
+        if self.times.len() <= self.highest {
+            self.times.resize(self.highest + 1, [0; 4]);
         }
-    }
-
-    /// The histogram must be empty, and the column no longer than a sensor's side.
-    fn count(&mut self, column: &[u16]) {
-        for pixels in column.chunks(4) {
+        let (fours, rest) = column.as_chunks::<4>();
+        for pixels in fours {
             for (lane, &count) in pixels.iter().enumerate() {
                 self.times[count as usize][lane] += 1;
             }
         }
-        self.highest = column.iter().copied().max().unwrap_or(0) as usize;
+        for &count in rest {
+            self.times[count as usize][0] += 1;
+        }
     }
 
     /// Empties it of the counts of a column.
@@ -149,11 +155,6 @@ impl Histogram {
         for &count in column {
             self.times[count as usize] = [0; 4];
         }
-    }
-
-    /// The highest count.
-    pub fn highest(&self) -> u16 {
-        self.highest as u16
     }
 
     fn at(&self, value: usize) -> u64 {
@@ -237,7 +238,9 @@ mod tests {
                 let counts: Vec<u16> = (0..500)
                     .map(|_| (black + normal.sample(&mut stream)).max(0.0).round() as u16)
                     .collect();
-                sum += background(&counts, 6.0, &mut Histogram::new(200)).noise / 100.0;
+                let highest = *counts.iter().max().unwrap();
+                let found = background(&counts, highest, 6.0, &mut Histogram::default());
+                sum += found.noise / 100.0;
             }
             let truth = (9.0f64 + 1.0 / 12.0).sqrt();
             let bound = bias + 5.0 * (2.5f64 / (2.0 * 50_000.0)).sqrt();
@@ -250,14 +253,14 @@ mod tests {
     #[test]
     fn a_histogram_answers_as_the_sorted_column_does() {
         let key = Key::new(2, Purpose::SensorNoise);
-        let mut histogram = Histogram::new(999);
+        let mut histogram = Histogram::default();
         for (i, most) in [1.0, 3.0, 40.0, 1000.0].into_iter().enumerate() {
             for length in [1, 2, 101, 256] {
                 let value = |j: u64| (key.with(i as u64).uniform(j) * most) as u16;
                 let column: Vec<u16> = (0..length).map(value).collect();
-                histogram.count(&column);
                 let mut sorted = column.clone();
                 sorted.sort_unstable();
+                histogram.count(&column, sorted[sorted.len() - 1]);
                 let median = sorted[sorted.len() / 2];
                 let mut distances: Vec<u16> = column.iter().map(|c| c.abs_diff(median)).collect();
                 distances.sort_unstable();

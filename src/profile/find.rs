@@ -29,6 +29,15 @@ const WIDTH_TOLERANCE: f64 = 0.1;
 
 /// Columns that are gathered at once: a cache line of a row.
 const STRIP: usize = 32;
+/// Pixels of a column of which the highest is kept.
+const BLOCK: usize = 32;
+
+/// A column of an image.
+struct Pixels<'a> {
+    counts: &'a [u16],
+    /// The highest count of each [`BLOCK`]: most are dark, and need not be looked at.
+    tops: &'a [u16],
+}
 
 /// What a column holds besides noise.
 struct Column {
@@ -55,23 +64,32 @@ struct Found<'a> {
 pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Vec<Peak> {
     let rows = counts.len() / columns;
     let z = detection_sigmas(counts.len());
-    let highest = counts.iter().copied().max().unwrap_or(0);
-    let mut histogram = Histogram::new(highest);
+    let mut histogram = Histogram::default();
     let mut by_column = BY_COLUMN.take();
     by_column.resize(counts.len(), 0);
     let mut found: Vec<Option<Column>> = Vec::with_capacity(columns);
+    let blocks = rows.div_ceil(BLOCK);
+    let mut tops = Vec::with_capacity(columns * blocks);
     for (i, strip) in by_column.chunks_mut(STRIP * rows).enumerate() {
         transpose(counts, columns, STRIP * i, strip);
-        let strip = strip.chunks_exact(rows);
-        found.extend(strip.map(|column| detect(column, z, &mut histogram)));
+        found.extend(strip.chunks_exact(rows).map(|pixels| {
+            let first = tops.len();
+            tops.extend(tops_of(pixels));
+            let column = Pixels {
+                counts: pixels,
+                tops: &tops[first..],
+            };
+            detect(&column, z, &mut histogram)
+        }));
     }
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
     let mut lines = Vec::with_capacity(columns);
-    for (number, (column, found)) in by_column.chunks_exact(rows).zip(&found).enumerate() {
+    let pixels = by_column.chunks_exact(rows).zip(tops.chunks_exact(blocks));
+    for (number, ((counts, tops), found)) in pixels.zip(&found).enumerate() {
         let Some(found) = found else { continue };
-        let (line, double) = chosen(column, found, width, settings);
+        let (line, double) = chosen(&Pixels { counts, tops }, found, width, settings);
         if let Some(located) = locate(&line, settings.finder) {
             lines.push(Found {
                 column: number as u32,
@@ -164,26 +182,40 @@ fn transpose(counts: &[u16], columns: usize, first: usize, by_column: &mut [u16]
                 _ => turn(band, from, width),
             };
             for (column, lanes) in (from - first..from - first + width).zip(turned) {
-                let to = &mut by_column[column * rows + i * TILE..][..height];
-                to.copy_from_slice(&lanes.as_array()[..height]);
+                let to = &mut by_column[column * rows + i * TILE..];
+                // Of a known length this is one instruction.
+                match to.first_chunk_mut() {
+                    Some(to) if height == TILE => *to = lanes.to_array(),
+                    _ => to[..height].copy_from_slice(&lanes.as_array()[..height]),
+                }
             }
         }
     }
 }
 
+/// The highest count of each [`BLOCK`] of a column.
+fn tops_of(column: &[u16]) -> impl Iterator<Item = u16> + '_ {
+    // Of a known length, for which a maximum is vectorised.
+    let (blocks, rest) = column.as_chunks::<BLOCK>();
+    let highest = |counts: &[u16]| counts.iter().copied().max();
+    let tops = blocks
+        .iter()
+        .map(|block| block.iter().fold(0, |top, &c| c.max(top)));
+    tops.chain(highest(rest))
+}
+
 /// The highest line of a column, if it is one.
-fn detect(column: &[u16], z: f64, histogram: &mut Histogram) -> Option<Column> {
-    let background = background(column, z, histogram);
-    let highest = histogram.highest();
+fn detect(column: &Pixels, z: f64, histogram: &mut Histogram) -> Option<Column> {
+    let counts = column.counts;
+    let highest = column.tops.iter().copied().max()?;
+    let background = background(counts, highest, z, histogram);
     let height = highest as f64 - background.mean;
     if height < background.threshold {
         return None;
     }
-    let strips = column.chunks(STRIP);
-    let dark = strips.take_while(|strip| strip.iter().copied().max() < Some(highest));
-    let first = dark.count() * STRIP;
-    let top = first + column[first..].iter().position(|&count| count == highest)?;
-    let sigma = half_height_sigma(column, top, background.mean);
+    let first = BLOCK * column.tops.iter().position(|&top| top == highest)?;
+    let top = first + counts[first..].iter().position(|&count| count == highest)?;
+    let sigma = half_height_sigma(counts, top, background.mean);
     Some(Column {
         background,
         top,
@@ -194,7 +226,7 @@ fn detect(column: &[u16], z: f64, histogram: &mut Histogram) -> Option<Column> {
 
 /// The line that the settings choose, and whether there is another.
 fn chosen<'a>(
-    column: &'a [u16],
+    column: &Pixels<'a>,
     found: &Column,
     width: f64,
     settings: &PeakSettings,
@@ -209,13 +241,14 @@ fn chosen<'a>(
         Choice::First => *tops.first().unwrap_or(&found.top),
         Choice::Last => *tops.last().unwrap_or(&found.top),
     };
-    let height = column[top] as f64 - mean;
+    let counts = column.counts;
+    let height = counts[top] as f64 - mean;
     let line = Line {
-        column,
+        column: counts,
         background: found.background,
         top,
         height,
-        sigma: half_height_sigma(column, top, mean).max(settings.expected_sigma),
+        sigma: half_height_sigma(counts, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
     (line, tops.len() > 1)
@@ -223,21 +256,18 @@ fn chosen<'a>(
 
 /// Rows of the highest pixels of the runs at or above `level`; runs whose gap is
 /// narrower than `width` are one, as speckle breaks a line up.
-fn candidates(column: &[u16], level: u16, width: f64) -> Vec<usize> {
+fn candidates(column: &Pixels, level: u16, width: f64) -> Vec<usize> {
     let mut tops: Vec<usize> = Vec::new();
     let mut last = 0;
-    for (block, counts) in column.chunks(STRIP).enumerate() {
-        // Most blocks are dark, and a maximum is vectorised.
-        if counts.iter().copied().max() < Some(level) {
-            continue;
-        }
-        for (row, &count) in (block * STRIP..).zip(counts) {
+    let blocks = column.counts.chunks(BLOCK).zip(column.tops).enumerate();
+    for (block, (counts, _)) in blocks.filter(|(_, (_, top))| **top >= level) {
+        for (row, &count) in (block * BLOCK..).zip(counts) {
             if count < level {
                 continue;
             }
             match tops.last_mut() {
                 Some(top) if ((row - last) as f64) <= width + 1.0 => {
-                    if count > column[*top] {
+                    if count > column.counts[*top] {
                         *top = row;
                     }
                 }
