@@ -27,8 +27,9 @@ pub const NARROW_RATIO: f64 = 0.4;
 /// Share by which a line's width may differ from that of its window.
 const WIDTH_TOLERANCE: f64 = 0.1;
 
-/// Columns that are gathered at once: a cache line of a row.
-const STRIP: usize = 32;
+/// Columns that are gathered at once: so much of a row is fetched ahead, and what is
+/// gathered stays near until it is looked at.
+const STRIP: usize = 512;
 /// Pixels of a column of which the highest is kept.
 const BLOCK: usize = 32;
 
