@@ -96,6 +96,14 @@ struct Frame<'a> {
     speckle: Option<Reader<'a>>,
 }
 
+/// Columns and rows of pixels whose samples are traced together where they are few.
+const BLOCK: usize = 2;
+
+/// Centre of a pixel.
+fn middle(column: usize, row: usize) -> DVec2 {
+    DVec2::new(column as f64, row as f64) + 0.5
+}
+
 impl Frame<'_> {
     /// Irradiance (mW/mm²) of the pixels of the bands from `first` on, row by row.
     fn render(&self, first: usize, window: &mut Window) -> Vec<f32> {
@@ -111,7 +119,8 @@ impl Frame<'_> {
             (Sampling::Planes, _) => 1,
             (Sampling::Rays, _) => {
                 let pixels = rows.flat_map(|row| self.pixels.of(row).map(move |c| (c, row)));
-                values.extend(pixels.map(|(column, row)| self.sampled(column, row) as f32));
+                values
+                    .extend(pixels.map(|(column, row)| self.sampled(&[middle(column, row)], 1)[0]));
                 return values;
             }
         };
@@ -150,12 +159,11 @@ impl Frame<'_> {
             _ => window.alike(band, first, size, wanted),
         };
         let centers = window.tile(band, first);
-        for pixel in (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1) {
+        for pixel in (0..WIDTH).filter(|pixel| alike >> pixel & 1 == 1) {
             let (column, row) = (first + pixel % SIDE, pixel / SIDE);
             let value = match &centers[pixel] {
-                _ if alike >> pixel & 1 == 0 => self.sampled(column, SIDE * band + row),
                 Center::Lit(light, plane) => {
-                    let place = DVec2::new(column as f64, (SIDE * band + row) as f64) + 0.5;
+                    let place = middle(column, SIDE * band + row);
                     let speckle = self.speckle.as_ref();
                     light.irradiance * self.grid.mean(place, light, plane, &self.lit, speckle)
                 }
@@ -163,40 +171,93 @@ impl Frame<'_> {
             };
             light[row * columns + column] = value as f32;
         }
+        for (pixel, value) in self.apart(band, first, wanted & !alike) {
+            light[pixel / SIDE * columns + first + pixel % SIDE] = value;
+        }
     }
 
-    /// Mean irradiance of a pixel by a ray for each sample.
-    fn sampled(&self, column: usize, row: usize) -> f64 {
+    /// Mean irradiance of those pixels of a tile that are `wanted`, by a ray for each
+    /// sample, beside their numbers. Packets are the same whichever pixels are wanted, as
+    /// tiles are.
+    fn apart(&self, band: usize, first: usize, wanted: u16) -> impl Iterator<Item = (usize, f32)> {
+        let side = match self.grid.samples().len() * BLOCK * BLOCK <= WIDTH {
+            true => BLOCK,
+            false => 1,
+        };
+        let corners = (0..SIDE).step_by(side).flat_map(move |row| {
+            let columns = (0..SIDE).step_by(side);
+            columns.map(move |column| SIDE * row + column)
+        });
+        corners.flat_map(move |corner| {
+            let pixels = (0..side * side).map(|i| corner + i / side * SIDE + i % side);
+            let place = |pixel: usize| (first + pixel % SIDE, SIDE * band + pixel / SIDE);
+            let is_wanted = move |pixel: usize| wanted >> pixel & 1 == 1;
+            let mut values = [None; BLOCK * BLOCK];
+            if pixels.clone().any(is_wanted) {
+                let (mut centres, mut of) = ([DVec2::ZERO; BLOCK * BLOCK], [0; BLOCK * BLOCK]);
+                let (mut count, mut bits) = (0, 0);
+                for pixel in pixels {
+                    let (column, row) = place(pixel);
+                    if column < self.pixels.columns && row < self.pixels.rows {
+                        (centres[count], of[count]) = (middle(column, row), pixel);
+                        bits |= u16::from(is_wanted(pixel)) << count;
+                        count += 1;
+                    }
+                }
+                let sampled = self.sampled(&centres[..count], bits);
+                for i in (0..count).filter(|i| bits >> i & 1 == 1) {
+                    values[i] = Some((of[i], sampled[i]));
+                }
+            }
+            values.into_iter().flatten()
+        })
+    }
+
+    /// Mean irradiance of the pixels around these centres (up to [`BLOCK`]²) that are
+    /// `wanted` (as bits) by a ray for each sample.
+    fn sampled(&self, centres: &[DVec2], wanted: u16) -> [f32; BLOCK * BLOCK] {
         let sight = self.lit.sight;
-        let centre = DVec2::new(column as f64, row as f64) + 0.5;
+        let samples = self.grid.samples();
+        let mut sums = [0.0; BLOCK * BLOCK];
         let mut bend = DVec2::ZERO;
-        let mut sum = 0.0;
-        for samples in self.grid.samples().chunks(WIDTH) {
+        // Of all samples of all pixels, one after the other.
+        for first in (0..samples.len() * centres.len()).step_by(WIDTH) {
+            let chunk = first..(first + WIDTH).min(samples.len() * centres.len());
             let mut places = [DVec2::ZERO; WIDTH];
             let mut directions = [DVec3::Z; WIDTH];
-            for (i, (off, _)) in samples.iter().enumerate() {
-                places[i] = centre + *off;
+            let mut rays_wanted = 0;
+            for (i, ray) in chunk.clone().enumerate() {
+                let (pixel, sample) = (ray / samples.len(), ray % samples.len());
+                if sample == 0 {
+                    bend = DVec2::ZERO;
+                }
+                places[i] = centres[pixel] + samples[sample].0;
                 let towards = sight.towards(sight.to_sensor(places[i]), &mut bend);
                 directions[i] = towards.normalize();
+                rays_wanted |= (wanted >> pixel & 1) << i;
             }
-            let count = samples.len();
+            let count = chunk.len();
             let mut centers = [const { Center::Nothing }; WIDTH];
-            self.lit.look(
+            (self.lit).look(
                 &places[..count],
                 &directions[..count],
-                u16::MAX,
+                rays_wanted,
                 &mut centers,
             );
-            let lit = samples.iter().zip(&centers);
-            sum += self.with_speckle(
-                centre,
-                lit.filter_map(|((off, weight), center)| match center {
-                    Center::Lit(light, _) => Some((*off, *weight, light)),
-                    _ => None,
-                }),
-            );
+            for (pixel, (&centre, sum)) in centres.iter().zip(&mut sums).enumerate() {
+                let own = samples.len() * pixel..samples.len() * (pixel + 1);
+                let own = own.start.max(chunk.start)..own.end.min(chunk.end);
+                let lit = own.map(|ray| (&samples[ray % samples.len()], &centers[ray - first]));
+                *sum += self.with_speckle(
+                    centre,
+                    lit.filter_map(|((off, weight), center)| match center {
+                        Center::Lit(light, _) => Some((*off, *weight, light)),
+                        _ => None,
+                    }),
+                );
+            }
         }
-        sum
+        sums.map(|sum| sum as f32)
     }
 
     /// Weighted sum of the irradiance from points seen so many columns and rows from a
