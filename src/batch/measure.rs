@@ -107,7 +107,7 @@ impl Simulation<'_> {
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let mut covariance = covariance;
             if across(&covariance) < LEAST_SHARE * trace(&covariance).max(0.0).sqrt() {
-                covariance += self.of_a_part_of_the_light(peak, in_head);
+                covariance += self.of_a_part_of_the_light(peak, row_sigma, in_head);
             }
             let sigma = trace(&covariance).max(0.0).sqrt();
             let deviation_sigma = across(&covariance);
@@ -141,12 +141,14 @@ impl Simulation<'_> {
 
     /// What a peak's point may be off where the wall it lies on catches a part of the light
     /// only, covariance in the head's frame, mm²: as far off the sheet as the light is
-    /// on average, a standard deviation of w/2, and seen along the same ray; and off the
+    /// on average, a standard deviation of w/2, or as many of them as the row is uncertain by
+    /// widths of the line, and seen along the same ray; and off the
     /// middle of its column's light, 1/√12 of a column if all of it is at one place.
-    fn of_a_part_of_the_light(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+    fn of_a_part_of_the_light(&self, peak: &Peak, row_sigma: f64, in_head: DVec3) -> DMat3 {
         let scene = self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
-        let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
+        let widths = 2.0 * row_sigma / self.plan.line_half_width_px;
+        let half = scene.laser.beam.radius(from_laser.length()) / 2.0 * widths.max(1.0);
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));

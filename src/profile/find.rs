@@ -269,7 +269,8 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f6
         let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
         // A column by itself may be as narrow as a grain.
         let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
-        let narrow = beside < NARROW_RATIO * sigma;
+        let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
+        let narrow = beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma;
         let flags = &mut peaks[i].flags;
         flags.set(Flags::EDGE, !unbroken || narrow);
         flags.set(Flags::WEAK, weak);

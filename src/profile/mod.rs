@@ -9,6 +9,8 @@ mod adjust;
 mod background;
 mod calibration;
 mod calibration_file;
+mod clipping;
+mod cut;
 mod find;
 mod fit;
 mod locate;

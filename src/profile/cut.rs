@@ -1,0 +1,196 @@
+//! Lines that an edge along them cuts. What is left of one is darker and narrower than its
+//! neighbours, as speckle makes single columns too; but an edge cuts neighbouring columns.
+
+use super::locate::{PIXEL_VARIANCE, WINDOW_SIGMAS};
+use super::neighbourhood::BESIDE;
+use super::widths::Expected;
+use super::{Flags, Peak};
+use std::f64::consts::{SQRT_2, TAU};
+
+/// How often an edge begins to cut an unbroken line, a column; at a column flagged
+/// [`Flags::EDGE`], where the line ends or jumps, it does as often as not.
+const EDGES: f64 = 1e-3;
+
+/// Widths of the line along its columns that an edge at 45° to it cuts.
+const CUT_SIGMAS: f64 = 4.0;
+
+/// Relative variance of a line's light between columns that speckle does not explain, at least:
+/// that of the reflectance and slope of a smooth part.
+const LEAST_VARIANCE: f64 = 0.02;
+
+/// Relative variance by speckle of a column's width² over that of its light, to first order:
+/// E² of a line of σ is a Gaussian of σ²/2, over which (x² − σ²)²/σ⁴ has the mean ¾.
+const VARIANCE_OF_WIDTH: f64 = 0.75;
+
+/// Share of a Gaussian that lies beyond 1.5 standard deviations, and less, is a tail:
+/// its centroid is 1.94 of them off or more.
+const TAIL_SIGMAS: f64 = 1.938_8;
+
+/// What is left of a Gaussian line of unit width and light beyond one place.
+#[derive(Debug, Clone, Copy)]
+struct Remnant {
+    light: f64,
+    /// Distance of its centroid from the line's.
+    off: f64,
+    /// Variance.
+    width: f64,
+    /// How likely it is among the others: edges cut lines anywhere, by light.
+    weight: f64,
+}
+
+impl Remnant {
+    /// φ(z)/q is the mean of what lies beyond z, q being how much does, and
+    /// 1 + z·φ/q − (φ/q)² its variance.
+    fn new(light: f64, weight: f64) -> Remnant {
+        let (mut low, mut high) = (-6.0, 6.0);
+        for _ in 0..50 {
+            let z: f64 = (low + high) / 2.0;
+            match 0.5 * libm::erfc(z / SQRT_2) > light {
+                true => low = z,
+                false => high = z,
+            }
+        }
+        let off = (-0.5 * low * low).exp() / TAU.sqrt() / light;
+        Remnant {
+            light,
+            off,
+            width: 1.0 + low * off - off * off,
+            weight,
+        }
+    }
+}
+
+/// Shares of light that edges leave, and of all shares those that each stands for.
+const LEFT: [[f64; 2]; 12] = [
+    [0.002, 0.0035],
+    [0.005, 0.004],
+    [0.01, 0.0075],
+    [0.02, 0.015],
+    [0.04, 0.025],
+    [0.07, 0.035],
+    [0.12, 0.06],
+    [0.2, 0.1],
+    [0.32, 0.14],
+    [0.48, 0.18],
+    [0.68, 0.2],
+    [0.9, 0.23],
+];
+
+/// Looks for what edges leave.
+#[derive(Debug, Clone)]
+pub(super) struct Cuts {
+    remnants: [Remnant; LEFT.len()],
+    /// Share of neighbouring columns whose light is independent.
+    independent: f64,
+}
+
+/// What an edge may have done to the line in a column.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Cut {
+    /// Chance that one cuts it.
+    pub chance: f64,
+    /// Mean square of how far off the centroid then is, px².
+    pub square: f64,
+}
+
+impl Cut {
+    /// Whether a tail is left of a line of standard deviation `sigma`, more likely than not.
+    pub fn is_tail(&self, sigma: f64) -> bool {
+        self.chance > 0.5 && self.square > (TAIL_SIGMAS * sigma).powi(2)
+    }
+}
+
+impl Cuts {
+    /// `beside` is the variance of the mean light of the columns next to one over that of
+    /// one, both by speckle.
+    pub fn new(beside: f64) -> Cuts {
+        Cuts {
+            remnants: LEFT.map(|[light, weight]| Remnant::new(light, weight)),
+            independent: 1.0 / ((2 * BESIDE + 1) as f64 * beside),
+        }
+    }
+
+    /// Of each peak, in the order of columns; `variances` are those of the light of lines by
+    /// speckle, relative.
+    ///
+    /// A hidden Markov chain of two states, whole and cut, along the columns (Rabiner 1989,
+    /// forward and backward). A column's evidence is its light and its width over what is
+    /// expected of them, gamma-distributed by speckle; that of neighbours is weighed by how much of
+    /// it is independent.
+    pub fn find(&self, peaks: &[Peak], expected: &[Option<Expected>], variances: &[f64]) -> Vec<Cut> {
+        let seen: Vec<(f64, f64)> = (0..peaks.len())
+            .map(|i| match &expected[i] {
+                Some(expected) if !expected.alone => {
+                    self.evidence(&peaks[i], expected, variances[i])
+                }
+                _ => (1.0, 0.0),
+            })
+            .collect();
+        let ends = |i: usize| peaks[i].flags.intersects(Flags::EDGE | Flags::DOUBLE);
+        // Chances that a whole line is cut in the next column, and a cut one whole.
+        let step = |i: usize| {
+            let cut = if ends(i) || ends(i + 1) { 0.5 } else { EDGES };
+            let sigma = expected[i].map_or(peaks[i].sigma, |e| e.sigma);
+            (cut, (CUT_SIGMAS * sigma).max(2.0).recip())
+        };
+        let normal = |[whole, cut]: [f64; 2]| [whole / (whole + cut), cut / (whole + cut)];
+        let mut chances = vec![[1.0; 2]; peaks.len()];
+        let mut from = [0.5; 2];
+        for i in 0..peaks.len() {
+            let here = normal([from[0], from[1] * seen[i].0]);
+            chances[i] = here;
+            if i + 1 < peaks.len() {
+                let (cut, whole) = step(i);
+                let cut = here[0] * cut + here[1] * (1.0 - whole);
+                from = [1.0 - cut, cut];
+            }
+        }
+        let mut onward = [1.0; 2];
+        for i in (0..peaks.len()).rev() {
+            let [whole, cut] = chances[i];
+            chances[i] = normal([whole * onward[0], cut * onward[1]]);
+            if i > 0 {
+                let here = [onward[0], onward[1] * seen[i].0];
+                let (cut, whole) = step(i - 1);
+                onward = normal([
+                    (1.0 - cut) * here[0] + cut * here[1],
+                    whole * here[0] + (1.0 - whole) * here[1],
+                ]);
+            }
+        }
+        let cut = |(chance, seen): (&[f64; 2], &(f64, f64))| Cut {
+            chance: if seen.1 > 0.0 { chance[1] } else { 0.0 },
+            square: seen.1,
+        };
+        chances.iter().zip(&seen).map(cut).collect()
+    }
+
+    /// How much likelier a column is if its line is cut than if it is whole, and how far
+    /// off its centroid then is, mean square, px².
+    ///
+    /// A gamma-distributed x of shape M is likelier with the mean m than with 1 by
+    /// e^(−M·(ln m + x/m − x)).
+    fn evidence(&self, peak: &Peak, expected: &Expected, variance: f64) -> (f64, f64) {
+        let variance = variance.max(LEAST_VARIANCE);
+        let whole = expected.sigma.powi(2) + PIXEL_VARIANCE;
+        // Of a width² by noise: Σx⁴ over the window.
+        let half = WINDOW_SIGMAS * whole.sqrt();
+        let noise = (peak.noise / peak.intensity).powi(2) * 0.4 * half.powi(5);
+        let of_width = VARIANCE_OF_WIDTH * variance + noise / (whole * whole);
+        let light = peak.intensity / expected.light;
+        let width = (peak.sigma.powi(2) + PIXEL_VARIANCE) / whole;
+        let surprise = |x: f64, mean: f64| mean.ln() + x / mean - x;
+        let (mut sum, mut square) = (0.0, 0.0);
+        for remnant in &self.remnants {
+            let narrow = (remnant.width * expected.sigma.powi(2) + PIXEL_VARIANCE) / whole;
+            let unlikely =
+                surprise(light, remnant.light) / variance + surprise(width, narrow) / of_width;
+            let likely = remnant.weight * (-unlikely).clamp(-300.0, 300.0).exp();
+            sum += likely;
+            square += likely * remnant.off.powi(2);
+        }
+        // One column says no more than that.
+        let ratio = sum.powf(self.independent).clamp(1e-12, 1e12);
+        (ratio, square / sum * expected.sigma.powi(2))
+    }
+}
