@@ -121,8 +121,14 @@ mod tests {
     #[test]
     fn exponential_light_keeps_what_the_closed_form_says() {
         let grains = gamma(1.0);
-        let kept: f64 = grains.iter().map(|(x, share)| share * (2.0 * x).min(1.0)).sum();
-        assert!((kept / (2.0 * (1.0 - (-0.5f64).exp())) - 1.0).abs() < 2e-3, "{kept}");
+        let kept: f64 = grains
+            .iter()
+            .map(|(x, share)| share * (2.0 * x).min(1.0))
+            .sum();
+        assert!(
+            (kept / (2.0 * (1.0 - (-0.5f64).exp())) - 1.0).abs() < 2e-3,
+            "{kept}"
+        );
         let low = clipped(0.02, &grains, 1.0);
         for value in [low.variance, low.kept, low.fill / 0.02] {
             assert!((value - 1.0).abs() < 0.01, "{low:?}");
@@ -139,7 +145,10 @@ mod tests {
         let light = 1.5 * line.kept * TAU.sqrt() * 3.0 * 800.0;
         let sigma = light / (line.fill * TAU.sqrt() * 800.0);
         let found = clipping.at(light, sigma, 800.0).unwrap();
-        assert!((found.kept / line.kept - 1.0).abs() < 0.01, "{found:?} {line:?}");
+        assert!(
+            (found.kept / line.kept - 1.0).abs() < 0.01,
+            "{found:?} {line:?}"
+        );
         assert!((found.variance / line.variance - 1.0).abs() < 0.01);
         assert!(found.keeps_enough());
         assert_eq!(clipping.at(10.0 * light, sigma, 800.0), None);

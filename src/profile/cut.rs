@@ -8,7 +8,8 @@ use super::{Flags, Peak};
 use std::f64::consts::{SQRT_2, TAU};
 
 /// How often an edge begins to cut an unbroken line, a column; at a column flagged
-/// [`Flags::EDGE`], where the line ends or jumps, it does as often as not.
+/// [`Flags::EDGE`], where the line ends or jumps, or [`Flags::DOUBLE`], which sees two surfaces,
+/// it does as often as not.
 const EDGES: f64 = 1e-3;
 
 /// Widths of the line along its columns that an edge at 45° to it cuts.
@@ -21,10 +22,6 @@ const LEAST_VARIANCE: f64 = 0.02;
 /// Relative variance by speckle of a column's width² over that of its light, to first order:
 /// E² of a line of σ is a Gaussian of σ²/2, over which (x² − σ²)²/σ⁴ has the mean ¾.
 const VARIANCE_OF_WIDTH: f64 = 0.75;
-
-/// Share of a Gaussian that lies beyond 1.5 standard deviations, and less, is a tail:
-/// its centroid is 1.94 of them off or more.
-const TAIL_SIGMAS: f64 = 1.938_8;
 
 /// What is left of a Gaussian line of unit width and light beyond one place.
 #[derive(Debug, Clone, Copy)]
@@ -93,13 +90,6 @@ pub(super) struct Cut {
     pub square: f64,
 }
 
-impl Cut {
-    /// Whether a tail is left of a line of standard deviation `sigma`, more likely than not.
-    pub fn is_tail(&self, sigma: f64) -> bool {
-        self.chance > 0.5 && self.square > (TAIL_SIGMAS * sigma).powi(2)
-    }
-}
-
 impl Cuts {
     /// `beside` is the variance of the mean light of the columns next to one over that of
     /// one, both by speckle.
@@ -117,7 +107,12 @@ impl Cuts {
     /// forward and backward). A column's evidence is its light and its width over what is
     /// expected of them, gamma-distributed by speckle; that of neighbours is weighed by how much of
     /// it is independent.
-    pub fn find(&self, peaks: &[Peak], expected: &[Option<Expected>], variances: &[f64]) -> Vec<Cut> {
+    pub fn find(
+        &self,
+        peaks: &[Peak],
+        expected: &[Option<Expected>],
+        variances: &[f64],
+    ) -> Vec<Cut> {
         let seen: Vec<(f64, f64)> = (0..peaks.len())
             .map(|i| match &expected[i] {
                 Some(expected) if !expected.alone => {
@@ -192,5 +187,105 @@ impl Cuts {
         // One column says no more than that.
         let ratio = sum.powf(self.independent).clamp(1e-12, 1e12);
         (ratio, square / sum * expected.sigma.powi(2))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VARIANCE: f64 = 0.2;
+
+    /// Lines of σ = 2 px of which these shares are left beyond an edge, on unflagged columns.
+    fn found(left: &[f64]) -> Vec<Cut> {
+        let line = |(column, left): (usize, &f64)| {
+            let remnant = Remnant::new(*left, 1.0);
+            Peak {
+                column: column as u32,
+                row: 10.0,
+                intensity: 1e4 * left,
+                height: 1e3,
+                sigma: 2.0 * remnant.width.sqrt(),
+                noise: 1.0,
+                flags: Flags::empty(),
+            }
+        };
+        let peaks: Vec<Peak> = left.iter().enumerate().map(line).collect();
+        let whole = Expected {
+            sigma: 2.0,
+            climb: 0.0,
+            light: 1e4,
+            alone: false,
+        };
+        let variances = vec![VARIANCE; left.len()];
+        Cuts::new(0.3).find(&peaks, &vec![Some(whole); left.len()], &variances)
+    }
+
+    /// By tables, beyond 1.5 σ lie 0.0668 of a Gaussian, 1.9388 σ off its middle on average; their
+    /// variance is 1 + 1.5·1.9388 − 1.9388² = 0.1493. Beyond the middle: 1 − 2/π.
+    #[test]
+    fn remnants_are_those_of_a_gaussian() {
+        let tail = Remnant::new(0.066_807, 1.0);
+        assert!((tail.off - 1.938_8).abs() < 1e-3 && (tail.width - 0.149_3).abs() < 2e-3);
+        let half = Remnant::new(0.5, 1.0);
+        assert!((half.width - (1.0 - 4.0 / TAU)).abs() < 1e-9, "{half:?}");
+        let weights: f64 = LEFT.iter().map(|[_, weight]| weight).sum();
+        assert!((weights - 1.0).abs() < 1e-9, "{weights}");
+    }
+
+    /// Six columns that keep a tenth are cut, and their centroids 1.755 σ = 3.51 px off;
+    /// whole ones are not, up to two columns from them. Of one that is dark and as wide as all it
+    /// is speckle.
+    #[test]
+    fn neighbouring_columns_that_are_dark_and_narrow_are_cut() {
+        let mut left = vec![1.0 - 1e-6; 40];
+        left[20..26].fill(0.1);
+        let cuts = found(&left);
+        for (i, cut) in cuts.iter().enumerate() {
+            match i {
+                20..=25 => {
+                    assert!(cut.chance > 0.99, "{i} {cut:?}");
+                    assert!((cut.square.sqrt() / 3.51 - 1.0).abs() < 0.05, "{i} {cut:?}");
+                }
+                18..=19 | 26..=27 => assert!(cut.chance < 0.1, "{i} {cut:?}"),
+                _ => assert!(cut.chance < 1e-3, "{i} {cut:?}"),
+            }
+        }
+    }
+
+    /// Of 20 000 columns of whole lines whose light and width vary as speckle makes them, each by
+    /// itself, less than one in a thousand is taken to be cut.
+    #[test]
+    fn speckle_is_not_taken_for_edges() {
+        use crate::math::rng::{Key, Purpose};
+        use rand_distr::{Distribution, Gamma};
+        let shape = 1.0 / VARIANCE;
+        let light = Gamma::new(shape, VARIANCE).unwrap();
+        let width = Gamma::new(shape / 0.75, 0.75 * VARIANCE).unwrap();
+        let mut stream = Key::new(3, Purpose::SensorNoise).stream();
+        let mut wrong = 0;
+        for _ in 0..50 {
+            let peak = |column: u32| Peak {
+                column,
+                row: 10.0,
+                intensity: 1e4 * light.sample(&mut stream),
+                height: 1e3,
+                sigma: (4.0 * width.sample(&mut stream)).sqrt(),
+                noise: 1.0,
+                flags: Flags::empty(),
+            };
+            let peaks: Vec<Peak> = (0..400).map(peak).collect();
+            let whole = Expected {
+                sigma: 2.0,
+                climb: 0.0,
+                light: 1e4,
+                alone: false,
+            };
+            // All columns independent: the mean of five has a fifth of one's variance.
+            let cuts = Cuts::new(0.2).find(&peaks, &[Some(whole); 400], &[VARIANCE; 400]);
+            wrong += cuts.iter().filter(|cut| cut.chance > 0.5).count();
+        }
+        println!("{wrong} of 20000");
+        assert!(wrong < 20, "{wrong}");
     }
 }

@@ -7,7 +7,7 @@ use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
 use super::widths::{Expected, expected};
-use super::{Flags, Peak, PeakFinder};
+use super::{Flags, Peak, PeakFinder, WEAK_SNR};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::pixel_covariance;
 use std::f64::consts::{PI, SQRT_2};
@@ -46,6 +46,15 @@ const FINE_GRAIN_VARIANCE: f64 = 0.15;
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
 const NODES: usize = 96;
+
+/// How far a peak's row may be off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowError {
+    /// Standard uncertainty, px.
+    pub sigma: f64,
+    /// Whether an edge along the line has the greater part in it.
+    pub cut: bool,
+}
 
 /// Predicts the standard uncertainty of the rows of peaks.
 ///
@@ -123,13 +132,19 @@ impl ErrorModel {
         }
     }
 
-    /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
-    /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
-    /// that keep enough of their light, and [`Flags::EDGE`] from all that are beside lines that
-    /// are whole, but those of which an edge leaves a tail. `peaks` are those of one frame, in the
-    /// order of columns; a line's width is that of its neighbourhood, as one column's
-    /// is mostly speckle, and that of its climb.
+    /// Standard uncertainty of each peak's row, px; flags as [`ErrorModel::row_errors`].
     pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
+        self.row_errors(peaks).iter().map(|e| e.sigma).collect()
+    }
+
+    /// How far each peak's row may be off. Sets [`Flags::OUTSIDE`] of the
+    /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
+    /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
+    /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
+    /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
+    /// in the order of columns; a line's width is that of its neighbourhood, as one column's
+    /// is mostly speckle, and that of its climb.
+    pub fn row_errors(&self, peaks: &mut [Peak]) -> Vec<RowError> {
         let runs = runs(peaks);
         let expected = expected(peaks, &runs);
         let clipped = self.clipped(peaks, &expected);
@@ -141,8 +156,10 @@ impl ErrorModel {
             let (expected, sigma) = (&expected[i], sigmas[i]);
             let peak = &mut peaks[i];
             if expected.is_some_and(|e| !e.alone) {
-                let tail = cuts[i].is_tail(sigma);
-                peak.flags.set(Flags::EDGE, tail);
+                peak.flags.remove(Flags::EDGE);
+            }
+            if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
+                peak.flags.remove(Flags::WEAK);
             }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
                 && expected.is_some()
@@ -150,8 +167,12 @@ impl ErrorModel {
             peak.flags.set(Flags::OUTSIDE, !inside);
             let climb = expected.map_or(0.0, |e| e.climb);
             let variance = self.variance(peak, sigma, climb, &clipped[i]);
+            let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
-            (variance + bend_variance(&runs[i], variance) + cut).sqrt()
+            RowError {
+                sigma: (uncut + cut).sqrt(),
+                cut: cut > uncut,
+            }
         };
         (0..sigmas.len()).map(of).collect()
     }
@@ -181,7 +202,11 @@ impl ErrorModel {
 
     fn is_valid(&self, sigma: f64, light: f64) -> bool {
         let centroid = self.finder == PeakFinder::Centroid;
-        let least = if centroid { SIGMAS_PX.0 } else { LEAST_SHAPE_SIGMA_PX };
+        let least = if centroid {
+            SIGMAS_PX.0
+        } else {
+            LEAST_SHAPE_SIGMA_PX
+        };
         (least..=SIGMAS_PX.1).contains(&sigma)
             && light <= LARGEST_LIGHT_VARIANCE
             && (centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE)
