@@ -14,6 +14,7 @@ mod clipping;
 mod cut;
 mod find;
 mod fit;
+mod influence;
 mod locate;
 mod neighbourhood;
 mod normal;
