@@ -273,8 +273,8 @@ mod tests {
     }
 
     /// Six columns that keep a tenth are cut, and their centroids 1.755 σ = 3.51 px off, to a
-    /// tenth: speckle leaves the share open by a third, and an offset goes with it as its fifth root
-    /// to third root. The more whole ones lie between, the less likely is a column.
+    /// tenth: speckle leaves the share open by a third, and an offset goes with its fourth root.
+    /// The more whole ones lie between, the less likely is a column.
     #[test]
     fn neighbouring_columns_that_are_dark_and_narrow_are_cut() {
         let mut left = vec![1.0 - 1e-6; 40];
