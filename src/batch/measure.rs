@@ -7,7 +7,7 @@ use crate::inspect::deviation::signed_distance;
 use crate::integrator::LinePoint;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
-    ErrorModel, Flags, Peak, PeakSettings, SpeckleGrain, compare_neighbours, find_peaks,
+    ErrorModel, Flags, Peak, PeakSettings, RowError, SpeckleGrain, compare_neighbours, find_peaks,
 };
 use crate::scene::Scene;
 
@@ -31,16 +31,21 @@ impl Simulation<'_> {
 
     /// Lines of an image and the standard uncertainty of their rows, px.
     pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<f64>) {
+        let (peaks, errors) = self.peaks_and_errors(counts);
+        (peaks, errors.iter().map(|error| error.sigma).collect())
+    }
+
+    fn peaks_and_errors(&self, counts: &[u16]) -> (Vec<Peak>, Vec<RowError>) {
         let columns = self.scene.camera.sensor.resolution.x as usize;
         let mut peaks = find_peaks(counts, columns, &self.peak_settings());
-        let uncertainties = self.errors.row_uncertainties(&mut peaks);
-        (peaks, uncertainties)
+        let errors = self.errors.row_errors(&mut peaks);
+        (peaks, errors)
     }
 
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, uncertainties) = self.peaks(counts);
-        let points = self.points(frame, &peaks, &uncertainties);
+        let (peaks, errors) = self.peaks_and_errors(counts);
+        let points = self.points(frame, &peaks, &errors);
         (peaks, points)
     }
 
@@ -48,13 +53,13 @@ impl Simulation<'_> {
     /// camera sees of them, and its points. The stated uncertainty is still that of
     /// the peaks of real images. Empty but where the plan takes geometry only.
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, uncertainties) = self.geometric_peaks(frame);
-        let points = self.points(frame, &peaks, &uncertainties);
+        let (peaks, errors) = self.geometric_peaks(frame);
+        let points = self.points(frame, &peaks, &errors);
         (peaks, points)
     }
 
-    /// Its peaks and the standard uncertainty of their rows, px.
-    pub(super) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<f64>) {
+    /// Its peaks and how far their rows may be off.
+    pub(super) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<RowError>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
@@ -63,8 +68,8 @@ impl Simulation<'_> {
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
         compare_neighbours(&mut peaks, columns, settings.expected_sigma);
-        let uncertainties = self.errors.row_uncertainties(&mut peaks);
-        (peaks, uncertainties)
+        let errors = self.errors.row_errors(&mut peaks);
+        (peaks, errors)
     }
 
     /// The peak whose counts are what the sensor would expect of a line as wide as
@@ -92,15 +97,15 @@ impl Simulation<'_> {
         }
     }
 
-    /// Points of a frame's peaks, whose rows have these standard uncertainties, px.
-    fn points(&self, frame: u32, peaks: &[Peak], uncertainties: &[f64]) -> Vec<CloudPoint> {
+    /// Points of a frame's peaks, whose rows may be so far off.
+    fn points(&self, frame: u32, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
         let part_from_head = self.scene.part_from_head(frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
-        let measured = peaks.iter().zip(uncertainties);
+        let measured = peaks.iter().zip(errors);
         // The triangle nearest to the column before.
         let mut close = None;
-        let points = measured.filter_map(|(peak, &row_sigma)| {
-            let (in_head, covariance) = self.point(peak, row_sigma)?;
+        let points = measured.filter_map(|(peak, error)| {
+            let (in_head, covariance) = self.point(peak, error.sigma)?;
             let position = part_from_head.point(in_head);
             let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut close);
             let normal = part_from_head.inverse().vector(normal);
@@ -110,7 +115,11 @@ impl Simulation<'_> {
                 covariance += self.of_a_part_of_the_light(peak, in_head);
             }
             let sigma = trace(&covariance).max(0.0).sqrt();
-            let deviation_sigma = across(&covariance);
+            // Beside the edge that cuts a line two surfaces meet, and either may be nearest.
+            let deviation_sigma = match error.cut {
+                true => sigma,
+                false => across(&covariance),
+            };
             Some(CloudPoint {
                 position,
                 deviation,

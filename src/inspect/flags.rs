@@ -27,7 +27,7 @@ const FLAGS: [(Flags, &str, &str); 7] = [
     (
         Flags::SATURATED,
         "saturated",
-        "the line reaches the highest count the sensor gives, not only its brightest grains",
+        "the line loses half its light or more above the highest count the sensor gives",
     ),
     (
         Flags::DOUBLE,
@@ -42,13 +42,13 @@ const FLAGS: [(Flags, &str, &str); 7] = [
     (
         Flags::WEAK,
         "weak",
-        "much fainter than the frame's lines, or near the noise",
+        "near the noise, or much fainter than the frame's lines and not cut by an edge",
     ),
     (Flags::BORDER, "border", "cut off by the sensor's edge"),
     (
         Flags::EDGE,
         "edge",
-        "next to an occlusion or a jump, or cut off along it",
+        "nothing but ends, jumps and lines much narrower than expected around",
     ),
     (
         Flags::OUTSIDE,

@@ -20,8 +20,8 @@ pub const WEAK_SNR: f64 = 10.0;
 /// Two columns' lines are apart beyond this many line widths between their ends.
 pub const JUMP_SIGMAS: f64 = 3.0;
 
-/// A line that is narrower than this share of their width, over five columns, is the
-/// tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
+/// A line that is narrower, over five columns, than this share of those around, or these than
+/// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
 pub const NARROW_RATIO: f64 = 0.4;
 
 /// Share by which a line's width may differ from that of its window.
@@ -300,7 +300,8 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f6
         let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
         // A column by itself may be as narrow as a grain.
         let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
-        let narrow = beside < NARROW_RATIO * sigma;
+        let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
+        let narrow = beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma;
         let flags = &mut peaks[i].flags;
         flags.set(Flags::EDGE, !unbroken || narrow);
         flags.set(Flags::WEAK, weak);

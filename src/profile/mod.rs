@@ -3,14 +3,18 @@
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
-//! `uncertainty` how surely.
+//! `uncertainty` how surely; `cut` which of them edges along them cut, `clipping` what
+//! saturation leaves of them.
 
 mod adjust;
 mod background;
 mod calibration;
 mod calibration_file;
+mod clipping;
+mod cut;
 mod find;
 mod fit;
+mod influence;
 mod locate;
 mod neighbourhood;
 mod normal;
@@ -30,5 +34,5 @@ pub use find::{
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use residual_picture::residual_picture;
 pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, SIGMAS_PX, SpeckleGrain,
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX, SpeckleGrain,
 };

@@ -30,7 +30,7 @@ bitflags! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
     pub struct Flags: u16 {
         /// A pixel of the line reaches the highest count the sensor gives. Taken back
-        /// where only bright grains of speckle do, whose loss its uncertainty covers.
+        /// of speckled lines that keep half their light, whose uncertainty is stated for it.
         const SATURATED = 1;
         /// The column holds another line: one that passes detection, has at
         /// least [`super::CANDIDATE_SHARE`] of the height of the column's
@@ -40,7 +40,8 @@ bitflags! {
         /// (their median, or [`PeakSettings::expected_sigma`]) and of its climb.
         const WIDE = 1 << 2;
         /// Lower than [`super::WEAK_SHARE`] of the median height of the frame's
-        /// lines, or than [`super::WEAK_SNR`] times the noise.
+        /// lines, or than [`super::WEAK_SNR`] times the noise. Taken back of those above
+        /// this that an edge cuts, as their uncertainty says.
         const WEAK = 1 << 3;
         /// The window of four line widths to either side ends at the sensor's edge.
         const BORDER = 1 << 4;
@@ -48,7 +49,9 @@ bitflags! {
         /// end is further off than [`super::JUMP_SIGMAS`] line widths (at least a
         /// pixel), which those of an unbroken surface are not, however steep it is;
         /// or an edge along the line leaves a tail of it, narrower than
-        /// [`super::NARROW_RATIO`] of their width.
+        /// [`super::NARROW_RATIO`] of the lines around, or these than that of what is
+        /// expected. Taken back where there are whole lines to compare with: what an edge
+        /// does is then in the uncertainty.
         const EDGE = 1 << 5;
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.

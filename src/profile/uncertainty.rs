@@ -1,13 +1,16 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
+use super::clipping::{Clipped, Clipping};
+use super::cut::Cuts;
+use super::influence::{bias, influence};
+use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
 use super::widths::{Expected, expected};
-use super::{Flags, Peak, PeakFinder};
+use super::{Flags, Peak, PeakFinder, WEAK_SNR};
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::pixel_covariance;
-use std::f64::consts::{PI, SQRT_2};
 
 /// Speckle of the light on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,8 +30,10 @@ pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
 /// The same of a pixel's light for finders that take its shape as a Gaussian's, not
 /// its centre of gravity.
 pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
-/// Narrowest and widest line, px: below, the finders' bias is not known to be small.
-pub const SIGMAS_PX: (f64, f64) = (0.7, 64.0);
+/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
+pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
+/// Narrowest line for finders other than the centroid, whose bias is not known below.
+const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
 /// Grains smaller than the first, px, on a line narrower than the second: the line
 /// does not light its outer pixels evenly and averages fewer grains there than the
 /// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
@@ -41,6 +46,15 @@ const FINE_GRAIN_VARIANCE: f64 = 0.15;
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
 const NODES: usize = 96;
+
+/// How far a peak's row may be off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowError {
+    /// Standard uncertainty, px.
+    pub sigma: f64,
+    /// Whether an edge along the line has the greater part in it.
+    pub cut: bool,
+}
 
 /// Predicts the standard uncertainty of the rows of peaks.
 ///
@@ -56,14 +70,14 @@ const NODES: usize = 96;
 /// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
 /// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
-/// what an edge along the line that cuts it ([`Expected::cut`]); on a steep surface σ
-/// is that of the column's stretch of the line. The
+/// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
+/// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
+/// first term is what clipping leaves of it ([`Clipping`]). The
 /// ratio a centroid is brings its own second-order terms; they add up to
 /// −0.02·h/σ of the variance.
 ///
-/// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.7 … 64 px
-/// wide (pixels and their noise widen a line: 0.5 px measures as 0.7), whose columns
-/// hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
+/// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
+/// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
 /// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
@@ -73,8 +87,8 @@ pub struct ErrorModel {
     fine: bool,
     /// Relative variance of the light of a pixel.
     pixel_variance: f64,
-    /// Variance of the mean light of neighbouring columns over that of one.
-    beside: f64,
+    cuts: Cuts,
+    clipping: Clipping,
     /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
     nodes: Vec<Variances>,
 }
@@ -102,7 +116,8 @@ impl ErrorModel {
             gain_dn_per_e,
             fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
             pixel_variance: covariance[0],
-            beside: variance_of_mean(&covariance),
+            cuts: Cuts::new(variance_of_mean(&covariance)),
+            clipping: Clipping::new(covariance[0]),
             nodes: (0..NODES)
                 .map(|i| Variances::of(finder, sigma(i), &covariance))
                 .collect(),
@@ -117,44 +132,99 @@ impl ErrorModel {
         }
     }
 
-    /// Standard uncertainty of each peak's row, px. Sets [`Flags::OUTSIDE`] of the
-    /// peaks for which it is not valid, and for centroids takes [`Flags::SATURATED`]
-    /// from those of which only grains are. `peaks` are those of one frame, in the
-    /// order of columns; a line's width is that of its neighbourhood, as one column's
-    /// is mostly speckle, and that of its climb.
+    /// Standard uncertainty of each peak's row, px; flags as [`ErrorModel::row_errors`].
     pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
+        self.row_errors(peaks).iter().map(|e| e.sigma).collect()
+    }
+
+    /// How far each peak's row may be off. Sets [`Flags::OUTSIDE`] of the
+    /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
+    /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
+    /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
+    /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
+    /// in the order of columns; a line's width is that of its neighbourhood, as one column's
+    /// is mostly speckle, and that of its climb.
+    pub fn row_errors(&self, peaks: &mut [Peak]) -> Vec<RowError> {
         let runs = runs(peaks);
         let expected = expected(peaks, &runs);
-        let shape =
-            self.finder == PeakFinder::Centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE;
-        let of = |((peak, expected), run): ((&mut Peak, Option<Expected>), &Run)| {
-            let (sigma, climb) = expected.map_or((peak.sigma, 0.0), |e| (e.sigma, e.climb));
-            let at = self.at(sigma);
-            let n = peak.intensity;
-            let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
-                true => FINE_GRAIN_VARIANCE,
-                false => 0.0,
-            };
-            let variance = at.speckle * (1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb)
-                + at.shot * self.gain_dn_per_e / n
-                + at.white * (peak.noise / n).powi(2)
-                + bias(self.finder, sigma).powi(2) / 3.0;
-            if self.finder == PeakFinder::Centroid
-                && expected.is_some_and(|e| e.saturates_in_grains(peak))
-            {
-                peak.flags.remove(Flags::SATURATED);
+        let clipped = self.clipped(peaks, &expected);
+        let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
+        let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
+        let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
+        let cuts = self.cuts.find(peaks, &expected, &lights);
+        let of = |i: usize| {
+            let (expected, sigma) = (&expected[i], sigmas[i]);
+            let peak = &mut peaks[i];
+            if expected.is_some_and(|e| !e.alone) {
+                peak.flags.remove(Flags::EDGE);
+            }
+            if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
+                peak.flags.remove(Flags::WEAK);
             }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
                 && expected.is_some()
-                && (SIGMAS_PX.0..=SIGMAS_PX.1).contains(&sigma)
-                && at.light <= LARGEST_LIGHT_VARIANCE
-                && shape;
+                && self.is_valid(sigma, lights[i]);
             peak.flags.set(Flags::OUTSIDE, !inside);
-            let cut = expected.map_or(0.0, |e| e.cut(at.light * self.beside));
-            (variance + bend_variance(run, variance) + cut * cut).sqrt()
+            let climb = expected.map_or(0.0, |e| e.climb);
+            let variance = self.variance(peak, sigma, climb, &clipped[i]);
+            let uncut = variance + bend_variance(&runs[i], variance);
+            let cut = cuts[i].chance * cuts[i].square;
+            RowError {
+                sigma: (uncut + cut).sqrt(),
+                cut: cut > uncut,
+            }
         };
-        let all = peaks.iter_mut().zip(expected).zip(&runs);
-        all.map(of).collect()
+        (0..sigmas.len()).map(of).collect()
+    }
+
+    /// What saturation leaves of each line. Those of which it leaves enough are no longer flagged.
+    fn clipped(&self, peaks: &mut [Peak], expected: &[Option<Expected>]) -> Vec<Clipped> {
+        let saturated = |peak: &&Peak| peak.flags.contains(Flags::SATURATED);
+        let heights = peaks.iter().filter(saturated).map(|peak| peak.height);
+        let full = heights.fold(0.0, f64::max);
+        let of = |(peak, expected): (&mut Peak, &Option<Expected>)| {
+            let Some(expected) = expected.filter(|e| !e.alone) else {
+                return Clipped::WHOLE;
+            };
+            let sigma = (expected.sigma.powi(2) + PIXEL_VARIANCE).sqrt();
+            let clipped = self.clipping.at(expected.light, sigma, full);
+            let Some(clipped) = clipped.filter(Clipped::keeps_enough) else {
+                return Clipped::WHOLE;
+            };
+            peak.flags.remove(Flags::SATURATED);
+            clipped
+        };
+        if full == 0.0 || self.finder != PeakFinder::Centroid {
+            return vec![Clipped::WHOLE; peaks.len()];
+        }
+        peaks.iter_mut().zip(expected).map(of).collect()
+    }
+
+    fn is_valid(&self, sigma: f64, light: f64) -> bool {
+        let centroid = self.finder == PeakFinder::Centroid;
+        let least = if centroid {
+            SIGMAS_PX.0
+        } else {
+            LEAST_SHAPE_SIGMA_PX
+        };
+        (least..=SIGMAS_PX.1).contains(&sigma)
+            && light <= LARGEST_LIGHT_VARIANCE
+            && (centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE)
+    }
+
+    /// Variance of the row of an unbroken line of width `sigma`, px².
+    fn variance(&self, peak: &Peak, sigma: f64, climb: f64, clipped: &Clipped) -> f64 {
+        let at = self.at(sigma);
+        let n = peak.intensity;
+        let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
+            true => FINE_GRAIN_VARIANCE,
+            false => 0.0,
+        };
+        let shape = 1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
+        at.speckle * clipped.variance * shape
+            + at.shot * self.gain_dn_per_e / n
+            + at.white * (peak.noise / n).powi(2)
+            + bias(self.finder, sigma).powi(2) / 3.0
     }
 
     fn at(&self, sigma: f64) -> Variances {
@@ -191,12 +261,13 @@ fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
     (0..=lags).map(covariance).collect()
 }
 
-/// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one.
+/// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one; without
+/// speckle as if each varied by itself.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
     let n = 2 * BESIDE + 1;
     let at = |lag: usize| covariance.get(lag).copied().unwrap_or(0.0);
     if at(0) == 0.0 {
-        return 1.0;
+        return 1.0 / n as f64;
     }
     let pairs: f64 = (1..n).map(|lag| 2.0 * (n - lag) as f64 * at(lag)).sum();
     (n as f64 + pairs / at(0)) / (n * n) as f64
@@ -225,73 +296,11 @@ impl Variances {
     }
 }
 
-/// Light and weight w of each pixel for a Gaussian line of `sigma` px and unit light
-/// at `row`, 0 or ½; pixels cover [i, i+1] on both sides of it alike.
-///
-/// Centroid: w = y within its window. Least squares: G'/ΣG'². Log-parabola, the
-/// upper half weighted by its squared counts: s²·G·y/ΣG²y². Zero crossing: the
-/// filter over its slope there.
-fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f64)> {
-    let reach = (5.0 * sigma).ceil() as i64 + 2;
-    let last = if row == 0.0 { reach - 1 } else { reach };
-    let edge = |i: i64| (i as f64 - row) / sigma;
-    let share = |i: i64| 0.5 * (libm::erf(edge(i + 1) / SQRT_2) - libm::erf(edge(i) / SQRT_2));
-    let density = |i: i64| (-0.5 * edge(i).powi(2)).exp() / ((2.0 * PI).sqrt() * sigma);
-    let middle = |i: i64| i as f64 + 0.5 - row;
-    let weights: Vec<f64> = match finder {
-        PeakFinder::Centroid => {
-            let half = (super::locate::WINDOW_SIGMAS * sigma).max(1.0);
-            let inside = |i| (half + 0.5 - middle(i).abs()).clamp(0.0, 1.0);
-            (-reach..=last).map(|i| middle(i) * inside(i)).collect()
-        }
-        PeakFinder::GaussianFit => {
-            let slope = |i| density(i) - density(i + 1);
-            let squares: f64 = (-reach..=last).map(|i| slope(i).powi(2)).sum();
-            (-reach..=last).map(|i| slope(i) / squares).collect()
-        }
-        PeakFinder::LogParabola => {
-            let top = share(if row == 0.0 { -1 } else { 0 });
-            let used = |i: &i64| share(*i) >= 0.5 * top || middle(*i).abs() < 1.6;
-            let moment = |i| share(i) * middle(i);
-            let squares: f64 = (-reach..=last)
-                .filter(used)
-                .map(|i| moment(i).powi(2))
-                .sum();
-            let scale = (sigma * sigma + 1.0 / 12.0) / squares;
-            let weight = |i| if used(&i) { scale * moment(i) } else { 0.0 };
-            (-reach..=last).map(weight).collect()
-        }
-        PeakFinder::DerivativeZero => {
-            let n = (super::locate::FILTER_SIGMAS * sigma).round().max(1.0) as i64;
-            let filter = |i: i64, at: i64| match i - at {
-                k if k.abs() <= n => k.signum() as f64,
-                _ => 0.0,
-            };
-            let derivative =
-                |at| -> f64 { (-reach..=last).map(|i| share(i) * filter(i, at)).sum() };
-            let slope = derivative(-1) - derivative(0);
-            let other = if row == 0.0 { -1 } else { 0 };
-            let mean = |i| (filter(i, other) + filter(i, 0)) / 2.0;
-            (-reach..=last).map(|i| mean(i) / slope).collect()
-        }
-    };
-    (-reach..=last).map(share).zip(weights).collect()
-}
-
-/// Greatest error on an ideal line of 0.7 px and more: `tests/peaks.rs`.
-fn bias(finder: PeakFinder, sigma: f64) -> f64 {
-    match finder {
-        PeakFinder::Centroid => 0.002,
-        PeakFinder::LogParabola => 0.005,
-        PeakFinder::GaussianFit => 1e-4,
-        PeakFinder::DerivativeZero => 0.07 / (sigma * sigma) + 1e-3,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::speckle::theory::centroid_noise;
+    use std::f64::consts::PI;
 
     fn model(finder: PeakFinder, size_px: f64) -> ErrorModel {
         let grain = SpeckleGrain {

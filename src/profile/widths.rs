@@ -1,10 +1,8 @@
 //! How wide lines are by their neighbourhood: one column's own width is mostly speckle.
 
-use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::Neighbourhood;
 use super::slope::{Run, VARIANCE_OF_A_CLIMB};
 use super::{Flags, Peak};
-use std::f64::consts::{SQRT_2, TAU};
 
 /// What a column's line is expected to be, by the lines around it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,8 +13,8 @@ pub(super) struct Expected {
     pub climb: f64,
     /// Mean light of the lines around, counts.
     pub light: f64,
-    /// That of the columns next to it over that of those around.
-    pub left: f64,
+    /// Whether there are none around, and it is taken as it is.
+    pub alone: bool,
 }
 
 /// Steepest line that tells how wide one without a climb is, rows a column: its climb
@@ -50,7 +48,6 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
     // Means are of squares.
     let root = |p: &Peak, _: &Run| p.intensity.max(0.0).sqrt();
     let lights = those(&|p, _| sound(p), &root);
-    let beside = those(&|_, _| true, &root);
     let of = |(peak, run): (&Peak, &Run)| {
         let (count, width) = alike.around(peak.column);
         let (wider, _) = wide.around(peak.column);
@@ -62,60 +59,19 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
                 sigma: peak.sigma,
                 climb: 0.0,
                 light: peak.intensity,
-                left: 1.0,
+                alone: true,
             });
         };
         let variance = width * width + climb(run);
         let light = lights.around(peak.column).1.unwrap_or(0.0).powi(2);
-        let next = beside.beside(peak.column).unwrap_or(0.0).powi(2);
         Some(Expected {
             sigma: variance.sqrt(),
             climb: climb(run) / variance.max(f64::MIN_POSITIVE),
             light,
-            left: if light > 0.0 { next / light } else { 1.0 },
+            alone: light <= 0.0,
         })
     };
     peaks.iter().zip(runs).map(of).collect()
-}
-
-/// Mean height of the lines around, as counted, over the count that saturates, up to which
-/// only grains are cut off.
-///
-/// Where a line of Gaussian profile and speckle of contrast 1 is on average as high as
-/// that count, a sixth of its light is lost and some 0.8 of its height is left. A grain
-/// that is cut off pulls the centroid less than a whole one: with grains of 0.6 to 2 px on
-/// lines of σ = 1.3 to 4 px the errors of columns with a saturated pixel are then 0.91 to 1
-/// of those without saturation.
-const GRAINS_SHARE: f64 = 0.8;
-
-impl Expected {
-    /// Whether a peak that is saturated is so in bright grains only.
-    pub fn saturates_in_grains(&self, peak: &Peak) -> bool {
-        let height = self.light / (TAU * (self.sigma.powi(2) + PIXEL_VARIANCE)).sqrt();
-        height < GRAINS_SHARE * peak.height
-    }
-
-    /// How far (px) the centroid may be off because an edge along the line cuts it: of a
-    /// Gaussian of which a share q = Φ(z) is left the centroid is φ(z)/q widths off its
-    /// middle. Zero where half the light or more is left, and where speckle explains as
-    /// little: light of relative `variance` 1/M between columns, gamma-distributed, is
-    /// at most q times its mean in e^(−M·(q − 1 − ln q)) of places (Chernoff's bound);
-    /// once in a thousand is taken to be speckle.
-    pub fn cut(&self, variance: f64) -> f64 {
-        let q = self.left.max(1e-6);
-        if q >= 0.5 || q - 1.0 - q.ln() < 1000f64.ln() * variance {
-            return 0.0;
-        }
-        let (mut low, mut high) = (-5.0, 0.0);
-        for _ in 0..40 {
-            let z = (low + high) / 2.0;
-            match 0.5 * libm::erfc(-z / SQRT_2) < q {
-                true => low = z,
-                false => high = z,
-            }
-        }
-        (-0.5 * low * low).exp() / TAU.sqrt() / q * self.sigma
-    }
 }
 
 #[cfg(test)]
@@ -181,44 +137,5 @@ mod tests {
                 assert!((sigma / peak.sigma - 1.0).abs() < 1e-9, "{peak:?} {sigma}");
             }
         }
-    }
-
-    /// Of a line half as high as saturation a bright grain may be saturated; of one that
-    /// is cut off all along it is the line that is.
-    #[test]
-    fn only_a_line_below_saturation_has_saturated_grains() {
-        let of = |height: f64, light: f64| {
-            let peak = |column| Peak {
-                height,
-                intensity: light,
-                sigma: 3.0,
-                flags: if column == 30 {
-                    Flags::SATURATED
-                } else {
-                    Flags::empty()
-                },
-                ..peak(column)
-            };
-            let peaks: Vec<Peak> = (0..60).map(peak).collect();
-            level(&peaks)[30].unwrap().saturates_in_grains(&peaks[30])
-        };
-        let light = 100.0 * (TAU * 9.0).sqrt();
-        assert!(of(100.0, 0.5 * light) && !of(100.0, light));
-    }
-
-    /// Beyond 1.5 σ lie 0.0668 of a Gaussian's light, 1.939 σ off its middle on average.
-    /// Where two grains make a column's light that is speckle once in 35 times, by
-    /// Chernoff; and what keeps more than half is not taken to be cut.
-    #[test]
-    fn what_an_edge_leaves_is_off_by_its_own_centroid() {
-        let line = |left: f64| Expected {
-            sigma: 2.0,
-            climb: 0.0,
-            light: 1e3,
-            left,
-        };
-        let off = line(0.066_807).cut(0.01);
-        assert!((off / 2.0 - 1.938_8).abs() < 1e-3, "{off}");
-        assert_eq!((line(0.066_807).cut(0.5), line(0.6).cut(0.0)), (0.0, 0.0));
     }
 }
