@@ -15,6 +15,7 @@ pub mod embree_race;
 mod hierarchy;
 mod refine;
 mod rust_bvh;
+mod watertight;
 
 pub use assembly::Accel;
 pub use clusters::{Clusters, Found, HalfSpace};
