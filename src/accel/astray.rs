@@ -183,3 +183,7 @@ fn seek(
         }
     }
 }
+
+#[cfg(test)]
+#[path = "astray_tests.rs"]
+mod tests;
