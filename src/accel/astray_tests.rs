@@ -43,7 +43,11 @@ fn next_to_an_edge_the_triangle_is_taken_that_f64_meets() {
         ),
         endless(
             [76.30568212093301, 52.57334885005613, 35.186716450393675],
-            [-0.6012056783557852, -0.718847170282147, -0.34901357866150445],
+            [
+                -0.6012056783557852,
+                -0.718847170282147,
+                -0.34901357866150445,
+            ],
         ),
         endless(
             [-9.598803630222363, 130.6972265547022, -27.473121947524877],
@@ -51,7 +55,11 @@ fn next_to_an_edge_the_triangle_is_taken_that_f64_meets() {
         ),
         endless(
             [-18.44263373653732, 61.47445915029424, 34.13825433641942],
-            [0.40556595350963454, -0.8548781824374995, -0.3235730992313454],
+            [
+                0.40556595350963454,
+                -0.8548781824374995,
+                -0.3235730992313454,
+            ],
         ),
     ];
     let (found, truth) = (
@@ -92,7 +100,10 @@ fn a_ray_that_passes_an_edge_meets_what_is_behind() {
             let hits = accel.closest(&rays, wanted);
             [0, 1, 2].map(|i| hits[i].map(|hit| hit.t + nearer))
         };
-        assert_eq!(heights(|_, _| true), [Some(290.0), Some(290.0), Some(300.0)]);
+        assert_eq!(
+            heights(|_, _| true),
+            [Some(290.0), Some(290.0), Some(300.0)]
+        );
         assert_eq!(heights(|_, t| t < 292.0), [Some(290.0), Some(290.0), None]);
     }
 }
@@ -144,7 +155,8 @@ fn nothing_is_met_that_f64_passes() {
     for packet in 0..6_000u64 {
         let rays: [Ray; WIDTH] = std::array::from_fn(|i| {
             let key = key.with(packet * WIDTH as u64 + i as u64);
-            let random = |k| DVec3::from_array([0, 1, 2].map(|j| 2.0 * key.uniform(k + j) - 1.0));
+            let random =
+                |k| DVec3::from_array([0u64, 1, 2].map(|j| 2.0 * key.uniform(k + j) - 1.0));
             let edge = mesh.triangle((key.uniform(0) * mesh.triangles.len() as f64) as usize);
             // Seen from the side half of them are at the outline.
             let target = edge[0].lerp(edge[1], key.uniform(1)) + random(2) * 1e-7;
