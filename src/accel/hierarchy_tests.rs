@@ -221,38 +221,6 @@ fn meshes_of_strange_shapes_are_no_trouble() {
     }
 }
 
-/// A square of two triangles, one of which is cut at the middle of the edge they share,
-/// with a triangle without area between, as files have them: rays at that edge meet
-/// one that has an area.
-#[test]
-fn a_triangle_without_area_hides_none() {
-    let middle = DVec3::new(3.0, 1.5, 0.75);
-    let mesh = Mesh {
-        positions: vec![
-            DVec3::ZERO,
-            2.0 * middle,
-            middle,
-            DVec3::new(0.0, 4.0, 1.0),
-            DVec3::new(6.0, -1.0, 0.5),
-        ],
-        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 4, 2], [2, 4, 1]],
-    };
-    for accel in accels(&mesh) {
-        let key = Key::new(15, Purpose::SensorNoise);
-        for i in 0..20_000 {
-            let target = 2.0 * middle * (0.01 + 0.98 * key.with(i).uniform(9));
-            let eye = target + DVec3::Z * 20.0 + uniform(key, i, -9.0, 9.0);
-            let ray = Ray {
-                t_max: f64::INFINITY,
-                ..Ray::between(eye, target).unwrap()
-            };
-            let hit = accel.closest(&[ray], |_, _| true)[0];
-            let hit = hit.unwrap_or_else(|| panic!("{ray:?} lost"));
-            assert!(hit.point.distance(target) < 1e-12, "{hit:?} {target}");
-        }
-    }
-}
-
 /// A file that holds one triangle over and over neither hangs nor overflows the
 /// stack.
 #[test]
