@@ -133,7 +133,9 @@ impl<'m> Accel<'m> {
 
     /// Nearest hit of each of up to 16 coherent rays, refined in f64 if
     /// `wanted(ray, t)` holds, where t is within [`Self::refinement`] of the final
-    /// distance; else as if nothing were hit. Where copies touch, of the first.
+    /// distance; else as if nothing were hit. Where copies touch, of the first. A triangle
+    /// that f64 passes is not met; what may be lost is what a ray at an outline meets
+    /// within f32's steps of it, and at a vertex of an open mesh (LIMITS.md).
     pub fn closest(
         &self,
         rays: &[Ray],

@@ -1,83 +1,189 @@
-//! Rays that slip between triangles. Of those that meet a vertex to the last digit of
-//! f32, Embree, even robust, loses one in some hundreds or thousands. In a closed mesh
-//! such a ray is then inside the material and meets the back of a triangle; of each that
-//! meets a back it is asked again what stands beside it. So a mesh that is wound inward
-//! or open costs more where its backs are seen. What an open mesh loses altogether is
-//! not found: asking again for every ray that meets nothing would double their cost.
+//! Rays that f32 leaves in doubt, settled in f64.
+//!
+//! Next to an edge Embree may take the triangle on its other side, or one that the ray
+//! passes. A ray that in f64 passes the triangle it was said to meet is therefore held
+//! against all triangles there, by a test in f64 that lets none slip between neighbours;
+//! if it meets none of them, it goes on behind them.
+//!
+//! Of rays that meet a vertex to the last digit of f32, Embree, even robust, loses one
+//! in some hundreds or thousands. In a closed mesh such a ray is then inside the material
+//! and meets the back of a triangle; of each that meets a back it is asked again what
+//! stands beside it. So a mesh that is wound inward or open costs more where its backs
+//! are seen. What an open mesh loses altogether is not found: asking again for every ray
+//! that meets nothing would double their cost.
 
 use super::embree::Tree;
 use super::hierarchy::{PartBox, Side};
-use super::refine::{Tolerance, refine};
+use super::refine::{Refined, refine};
+use super::watertight::Sheared;
 use super::{Hit, Ray, WIDTH};
+use smallvec::SmallVec;
 
 /// Rays that stand in for one, at 120° around it: at a vertex at least one of them
 /// meets a triangle away from its corners and edges.
 const AROUND: usize = 3;
 
-/// The rays of a packet that met the back of a triangle.
-#[derive(Default)]
-pub(super) struct Backs {
-    /// As bits.
-    rays: u16,
-    /// Distance to it, mm.
-    t: [f64; WIDTH],
+/// Places at which a ray may pass triangles it was said to meet. (One is not enough only
+/// where it runs along many edges in turn.)
+const PASSED: usize = 16;
+
+/// A hit that f32 reports.
+pub(super) struct Doubt {
+    /// Number in its packet.
+    pub ray: usize,
+    pub triangle: u32,
+    /// Distance, mm, in f64 where the triangle tells it.
+    pub t: f64,
 }
 
-impl Backs {
-    pub fn add(&mut self, ray: usize, t: f64) {
-        self.rays |= 1 << ray;
-        self.t[ray] = t;
+/// The rays of a packet in doubt.
+#[derive(Default)]
+pub(super) struct Doubts {
+    /// Those that in f64 pass the triangle.
+    pub passed: SmallVec<[Doubt; WIDTH]>,
+    /// Those that meet its back.
+    pub backs: SmallVec<[Doubt; WIDTH]>,
+}
+
+impl Doubts {
+    pub fn is_empty(&self) -> bool {
+        self.passed.is_empty() && self.backs.is_empty()
     }
+
+    /// Calls `found` with what each ray in doubt meets, if anything: last of a ray with
+    /// what holds.
+    #[cold]
+    pub fn settle(
+        mut self,
+        tree: &Tree,
+        part: &PartBox,
+        rays: &[Ray],
+        mut found: impl FnMut(usize, Option<Hit>),
+    ) {
+        for doubt in self.passed {
+            let ray = doubt.ray;
+            self.backs.retain(|back| back.ray != ray);
+            let hit = beyond(tree, part, &rays[ray], doubt.triangle, doubt.t);
+            found(ray, hit);
+            if let Some(Hit { t, face, .. }) = hit
+                && is_back(tree, &rays[ray], face.triangle)
+            {
+                let triangle = face.triangle;
+                self.backs.push(Doubt { ray, triangle, t });
+            }
+        }
+        seek(tree, part, rays, &self.backs, |ray, hit| {
+            found(ray, Some(hit))
+        });
+    }
+}
+
+fn is_back(tree: &Tree, ray: &Ray, triangle: u32) -> bool {
+    let [a, b, c] = tree.mesh().triangle(triangle as usize);
+    (b - a).cross(c - a).dot(ray.direction) > 0.0
+}
+
+/// What a ray meets in f64 that seems to meet `triangle` at `t`: there, or else behind.
+fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64) -> Option<Hit> {
+    for _ in 0..PASSED {
+        let met = near(tree, part, ray, triangle, t);
+        if met.is_some() {
+            return met;
+        }
+        let passed = t + part.overshoot();
+        let onward = Ray {
+            origin: ray.origin + ray.direction * passed,
+            t_max: ray.t_max - passed,
+            ..*ray
+        };
+        let mut next = None;
+        tree.closest(&[onward], part, |_, triangle, further, _| {
+            next = Some((triangle, passed + further));
+        });
+        (triangle, t) = next?;
+        let corners = tree.mesh().triangle(triangle as usize);
+        match refine(ray, triangle, corners, t, part.tolerance()) {
+            Refined::On(hit) => return Some(hit),
+            Refined::Beside(hit) => t = hit.t,
+            Refined::Off => {}
+        }
+    }
+    None
+}
+
+/// The nearest of the triangles within [`PartBox::overshoot`] of a ray at `t` that the
+/// ray meets in f64, as far as that or at `triangle`. At the same distance the first.
+fn near(tree: &Tree, part: &PartBox, ray: &Ray, triangle: u32, t: f64) -> Option<Hit> {
+    let sheared = Sheared::new(ray);
+    let reach = t + part.overshoot();
+    let mut best = None;
+    let mut least = (f64::INFINITY, u32::MAX);
+    let place = ray.origin + ray.direction * t;
+    tree.around(place, part, part.overshoot(), |other| {
+        let corners = tree.mesh().triangle(other as usize);
+        if let Some(t) = sheared.distance(corners)
+            && (t <= reach || other == triangle)
+            && (t, other) < least
+            && let Some(hit) = refine(ray, other, corners, t, part.tolerance()).hit()
+        {
+            (best, least) = (Some(hit), (t, other));
+        }
+        None
+    });
+    best
 }
 
 /// Calls `found` with the front, if there is one, that a ray has lost before it met a back.
 /// A ray beside one counts for it only where the one itself meets the same plane
-/// within [`PartBox::resolution`] of the triangle.
-pub(super) fn seek(
+/// within [`PartBox::resolution`] of the triangle. Of such fronts one that the ray meets
+/// in f64 is taken; if there is none, a gap in the mesh that f32 does not see, the first.
+fn seek(
     tree: &Tree,
     part: &PartBox,
     rays: &[Ray],
-    backs: &Backs,
+    backs: &[Doubt],
     mut found: impl FnMut(usize, Hit),
 ) {
     let aside = part.resolution() / 2.0;
-    let mut doubtful = (0..rays.len())
-        .filter(|i| backs.rays >> i & 1 == 1)
-        .peekable();
-    while doubtful.peek().is_some() {
+    let mut tolerance = part.tolerance();
+    tolerance.beside = part.resolution();
+    let first = |a: &Hit, b: &Hit| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face));
+    for backs in backs.chunks(WIDTH / AROUND) {
         let mut beside = [rays[0]; WIDTH];
-        let mut of = [0; WIDTH];
         let mut count = 0;
-        for i in doubtful.by_ref().take(WIDTH / AROUND) {
-            let (x, y) = rays[i].direction.any_orthonormal_pair();
+        for back in backs {
+            let ray = rays[back.ray];
+            let (x, y) = ray.direction.any_orthonormal_pair();
             for (u, v) in [(1.0, 0.2), (-0.673, 0.766), (-0.327, -0.966)] {
-                beside[count] = rays[i];
+                beside[count] = ray;
                 beside[count].origin += (x * u + y * v) * aside;
-                of[count] = i;
                 count += 1;
             }
         }
-        let mut best: [Option<Hit>; WIDTH] = [None; WIDTH];
+        let mut fronts = [None; WIDTH];
         tree.closest(&beside[..count], part, |k, triangle, t, side| {
-            let i = of[k];
-            if side == Side::Back || t >= backs.t[i] {
-                return;
-            }
-            let tolerance = Tolerance {
-                along: part.refinement(),
-                beside: part.resolution(),
-            };
-            let corners = tree.mesh().triangle(triangle as usize);
-            if let Some(hit) = refine(&rays[i], triangle, corners, t, tolerance)
-                && best[i].is_none_or(|best| (hit.t, triangle) < (best.t, best.face.triangle))
-            {
-                best[i] = Some(hit);
+            let back = &backs[k / AROUND];
+            // At a sharp edge f32 may take the back for the nearer.
+            if side == Side::Front && t < back.t + part.resolution() {
+                let corners = tree.mesh().triangle(triangle as usize);
+                fronts[k] = refine(&rays[back.ray], triangle, corners, t, tolerance).hit();
             }
         });
-        for (i, hit) in best.into_iter().enumerate() {
-            if let Some(hit) = hit {
-                found(i, hit);
+        for (back, fronts) in backs.iter().zip(fronts.chunks(AROUND)) {
+            let ray = &rays[back.ray];
+            let fronts = || fronts.iter().flatten();
+            let exact = fronts()
+                .filter_map(|front| near(tree, part, ray, front.face.triangle, front.t))
+                .filter(|hit| !is_back(tree, ray, hit.face.triangle))
+                .min_by(first);
+            let before = || fronts().filter(|front| front.t < back.t).copied();
+            if let Some(hit) = exact.or_else(|| before().min_by(first)) {
+                found(back.ray, hit);
             }
         }
     }
 }
+
+#[cfg(test)]
+#[path = "astray_tests.rs"]
+mod tests;

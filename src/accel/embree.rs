@@ -321,46 +321,60 @@ impl<'m> Tree<'m> {
     }
 
     /// The point of the mesh nearest to `p`, in f64, which `best` is at most as near.
-    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, best: Nearest) -> Nearest {
-        struct Search<'a> {
-            mesh: &'a Mesh,
-            p: DVec3,
-            slack: f64,
-            best: Nearest,
-        }
-        impl Search<'_> {
-            /// Embree compares with f32 vertices and an f32 query point: widened by
-            /// their rounding, no nearer triangle is missed.
-            fn radius(&self) -> f32 {
-                ((self.best.distance + self.slack) * (1.0 + 1e-6)) as f32
+    pub(super) fn nearest(&self, p: DVec3, part: &PartBox, mut best: Nearest) -> Nearest {
+        self.around(p, part, best.distance, |triangle| {
+            let point = nearest_on_triangle(self.mesh.triangle(triangle as usize), p);
+            let distance = point.distance(p);
+            if (distance, triangle) >= (best.distance, best.face.triangle) {
+                return None;
             }
-        }
-        unsafe extern "C" fn visit(args: *mut ffi::RTCPointQueryFunctionArguments) -> bool {
-            // SAFETY: Embree passes valid arguments whose userPtr is the Search
-            // given below and whose query is the one given below.
-            let (args, search, query) = unsafe {
-                let args = &*args;
-                (args, &mut *(args.userPtr as *mut Search), &mut *args.query)
-            };
-            let point = nearest_on_triangle(search.mesh.triangle(args.primID as usize), search.p);
-            let distance = point.distance(search.p);
-            let best = &search.best;
-            if (distance, args.primID) >= (best.distance, best.face.triangle) {
-                return false;
-            }
-            search.best = Nearest {
-                face: Face::of_mesh(args.primID),
+            best = Nearest {
+                face: Face::of_mesh(triangle),
                 point,
                 distance,
             };
-            query.radius = search.radius();
-            true
+            Some(distance)
+        });
+        best
+    }
+
+    /// Calls `visit` with every triangle within `radius` mm of `p`, and some beyond;
+    /// what it returns is the radius from then on.
+    pub(super) fn around<F: FnMut(u32) -> Option<f64>>(
+        &self,
+        p: DVec3,
+        part: &PartBox,
+        radius: f64,
+        visit: F,
+    ) {
+        struct Search<F> {
+            visit: F,
+            slack: f64,
+        }
+        impl<F: FnMut(u32) -> Option<f64>> Search<F> {
+            /// Embree compares with f32 vertices and an f32 query point: widened by
+            /// their rounding, no nearer triangle is missed.
+            fn widened(&self, radius: f64) -> f32 {
+                ((radius + self.slack) * (1.0 + 1e-6)) as f32
+            }
+
+            unsafe extern "C" fn visit(args: *mut ffi::RTCPointQueryFunctionArguments) -> bool {
+                // SAFETY: Embree passes valid arguments whose userPtr is the Search
+                // given below and whose query is the one given below.
+                let (args, search, query) = unsafe {
+                    let args = &*args;
+                    (args, &mut *(args.userPtr as *mut Self), &mut *args.query)
+                };
+                let Some(radius) = (search.visit)(args.primID) else {
+                    return false;
+                };
+                query.radius = search.widened(radius);
+                true
+            }
         }
         let mut search = Search {
-            mesh: self.mesh,
-            p,
+            visit,
             slack: part.resolution() + (p - part.center).length() * 2f64.powi(-20),
-            best,
         };
         let [x, y, z] = (p - part.center).as_vec3().to_array();
         let mut query = ffi::RTCPointQuery {
@@ -368,15 +382,14 @@ impl<'m> Tree<'m> {
             y,
             z,
             time: 0.0,
-            radius: search.radius(),
+            radius: search.widened(radius),
         };
         // SAFETY: the scene is live and committed; query and search outlive the
         // call, and `visit` is the only one to touch them during it.
         unsafe {
-            let user = &mut search as *mut Search as *mut c_void;
-            ffi::lt_point_query(self.scene, &mut query, Some(visit), user)
+            let user = &mut search as *mut Search<F> as *mut c_void;
+            ffi::lt_point_query(self.scene, &mut query, Some(Search::<F>::visit), user)
         };
-        search.best
     }
 }
 

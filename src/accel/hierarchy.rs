@@ -2,10 +2,10 @@
 //! around it is the same for all backends.
 
 #[cfg(feature = "embree")]
-use super::astray::{self, Backs};
+use super::astray::{Doubt, Doubts};
 #[cfg(feature = "embree")]
 use super::embree;
-use super::refine::{Tolerance, nearest_on_triangle, refine};
+use super::refine::{Refined, Tolerance, nearest_on_triangle, refine};
 use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
@@ -93,6 +93,14 @@ impl PartBox {
     /// See [`super::Accel::refinement`].
     pub fn refinement(&self) -> f64 {
         self.bounds.size().length() * 1e-3
+    }
+
+    /// What refinement makes of a hit.
+    pub fn tolerance(&self) -> Tolerance {
+        Tolerance {
+            along: self.refinement(),
+            beside: self.overshoot(),
+        }
     }
 
     /// Distances between which the ray is inside the box.
@@ -185,32 +193,41 @@ impl<'m> Hierarchy<'m> {
         rays: &[Ray],
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
-        let tolerance = Tolerance {
-            along: self.part.refinement(),
-            beside: self.part.overshoot(),
-        };
+        let tolerance = self.part.tolerance();
         let mut hits = [None; WIDTH];
-        let found = |i: usize, triangle: u32, t: f64| {
-            if wanted(i, t) {
-                let corners = self.mesh.triangle(triangle as usize);
-                hits[i] = refine(&rays[i], triangle, corners, t, tolerance);
-            }
+        let refined = |i: usize, triangle: u32, t: f64| {
+            let corners = self.mesh.triangle(triangle as usize);
+            refine(&rays[i], triangle, corners, t, tolerance)
         };
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
-                let (mut found, mut backs) = (found, Backs::default());
-                tree.closest(rays, &self.part, |i, triangle, t, side| {
+                let mut doubts = Doubts::default();
+                tree.closest(rays, &self.part, |ray, triangle, t, side| {
                     if side == Side::Back {
-                        backs.add(i, t);
+                        doubts.backs.push(Doubt { ray, triangle, t });
                     }
-                    found(i, triangle, t);
+                    if !wanted(ray, t) {
+                        return;
+                    }
+                    let refined = refined(ray, triangle, t);
+                    hits[ray] = refined.hit();
+                    if !matches!(refined, Refined::On(_)) {
+                        let t = hits[ray].map_or(t, |hit: Hit| hit.t);
+                        doubts.passed.push(Doubt { ray, triangle, t });
+                    }
                 });
-                astray::seek(tree, &self.part, rays, &backs, |i, hit| {
-                    hits[i] = Some(hit).filter(|hit| wanted(i, hit.t));
-                });
+                if !doubts.is_empty() {
+                    doubts.settle(tree, &self.part, rays, |ray, hit| {
+                        hits[ray] = hit.filter(|hit| wanted(ray, hit.t));
+                    });
+                }
             }
-            Tree::Rust(tree) => tree.closest(rays, &self.part, found),
+            Tree::Rust(tree) => tree.closest(rays, &self.part, |i, triangle, t| {
+                if wanted(i, t) {
+                    hits[i] = refined(i, triangle, t).hit();
+                }
+            }),
         }
         hits
     }

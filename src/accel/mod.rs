@@ -1,5 +1,6 @@
 //! Ray–mesh intersection: Embree or a tree in Rust finds the triangle, `refine`
-//! the point on it in f64; `brute` is the slow oracle they are tested against.
+//! the point on it in f64, and `astray` the triangle where Embree's f32 leaves it in
+//! doubt; `brute` is the slow oracle they are tested against.
 //! Everything here is in the part's own frame (mm).
 
 mod assembly;
@@ -15,6 +16,7 @@ pub mod embree_race;
 mod hierarchy;
 mod refine;
 mod rust_bvh;
+mod watertight;
 
 pub use assembly::Accel;
 pub use clusters::{Clusters, Found, HalfSpace};

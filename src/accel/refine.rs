@@ -23,40 +23,65 @@ fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
 #[derive(Debug, Clone, Copy)]
 pub struct Tolerance {
     /// Along the ray. Beyond it the triangle is seen so nearly edge-on that its
-    /// plane says nothing about the distance, and the f32 distance stands.
+    /// plane says nothing about the distance, and the distance found stands.
     pub along: f64,
     /// From the triangle. Beyond it there is no hit: robust mode can report one
     /// far from a sliver that the ray passes (RenderKit/embree#387).
     pub beside: f64,
 }
 
-/// The hit of `ray` on the plane of `corners`, the triangle that f32
-/// intersection reported at `t_f32`. The plane is intersected rather than the
-/// triangle because next to an edge f32 and f64 may disagree on which of two
-/// neighbours is met, and there the planes meet too. `None` for a triangle
-/// without area, and for a hit beside it.
+/// What f64 says of a hit that f32 reports.
+#[derive(Debug, Clone, Copy)]
+pub enum Refined {
+    /// The ray meets the triangle.
+    On(Hit),
+    /// The ray passes the triangle, or sees it edge-on, within the tolerance.
+    Beside(Hit),
+    /// There is no hit, or the triangle is without area.
+    Off,
+}
+
+impl Refined {
+    /// The hit if there is one within the tolerance.
+    pub fn hit(self) -> Option<Hit> {
+        match self {
+            Refined::On(hit) | Refined::Beside(hit) => Some(hit),
+            Refined::Off => None,
+        }
+    }
+}
+
+/// The hit of `ray` on the plane of `corners`, the triangle that intersection
+/// reported at `t_found`.
 pub fn refine(
     ray: &Ray,
     triangle: u32,
     corners: [DVec3; 3],
-    t_f32: f64,
+    t_found: f64,
     tolerance: Tolerance,
-) -> Option<Hit> {
-    let normal = facing_normal(corners, ray.direction)?;
+) -> Refined {
+    let Some(normal) = facing_normal(corners, ray.direction) else {
+        return Refined::Off;
+    };
     // Not from the unit normal, so that neither waits for the other.
     let across = across(corners);
     let t_plane = across.dot(corners[0] - ray.origin) / across.dot(ray.direction);
-    let on_plane = (t_plane - t_f32).abs() <= tolerance.along;
-    let t = if on_plane { t_plane } else { t_f32 };
+    let on_plane = (t_plane - t_found).abs() <= tolerance.along;
+    let t = if on_plane { t_plane } else { t_found };
     let point = ray.origin + ray.direction * t;
-    let on_triangle = on_plane && within_edges(corners, across, point)
-        || nearest_on_triangle(corners, point).distance(point) <= tolerance.beside;
-    on_triangle.then_some(Hit {
+    let hit = Hit {
         t,
         face: Face::of_mesh(triangle),
         point,
         normal,
-    })
+    };
+    if on_plane && within_edges(corners, across, point) {
+        Refined::On(hit)
+    } else if nearest_on_triangle(corners, point).distance(point) <= tolerance.beside {
+        Refined::Beside(hit)
+    } else {
+        Refined::Off
+    }
 }
 
 /// Whether a point of a triangle's plane lies in the triangle.
@@ -216,7 +241,7 @@ mod tests {
             direction: DVec3::X,
             t_max: 10.0,
         };
-        let hit = refine(&ray, 4, T, 1.5, TOLERANCE).unwrap();
+        let hit = refine(&ray, 4, T, 1.5, TOLERANCE).hit().unwrap();
         assert_eq!((hit.t, hit.face.triangle), (1.5, 4));
         assert!(hit.point.is_finite() && hit.normal.is_finite());
     }
@@ -238,7 +263,8 @@ mod tests {
                     t_max: 10.0,
                 };
                 let hit = refine(&ray, 0, winding, 5.0 - y / 2.0 + 1e-6, TOLERANCE);
-                assert_eq!(hit.is_some(), stands, "{y}");
+                assert_eq!(hit.hit().is_some(), stands, "{y}");
+                assert_eq!(matches!(hit, Refined::On(_)), y == 0.5, "{y}");
             }
         }
     }
