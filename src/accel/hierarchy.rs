@@ -5,7 +5,9 @@
 use super::astray::{Doubt, Doubts};
 #[cfg(feature = "embree")]
 use super::embree;
-use super::refine::{Refined, Tolerance, nearest_on_triangle, refine};
+#[cfg(feature = "embree")]
+use super::refine::Refined;
+use super::refine::{Tolerance, nearest_on_triangle, refine};
 use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
