@@ -1,6 +1,6 @@
 //! Cost of one speckle reading, per method, over the samples of a band of the demo's
-//! pixels, two by two a pixel and tile by tile, as frames read them; of making a frame's field; and of making a ring of
-//! slices. Each answer is checked.
+//! pixels, two by two a pixel and tile by tile, as frames read them; of making a
+//! frame's field; and of making a ring of slices. Each answer is checked.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lasertrace::math::DVec2;

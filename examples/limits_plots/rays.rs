@@ -106,10 +106,7 @@ pub fn slivers() -> Panel {
         let (mut off, mut beside) = (0.0f64, 0.0f64);
         for i in 0..20_000 {
             let triangle = mesh.triangle(i % 200);
-            let (u, v) = (
-                (random.between(-1.0, 1.0) + 1.0) / 4.0,
-                (random.between(-1.0, 1.0) + 1.0) / 4.0,
-            );
+            let (u, v) = (random.between(0.0, 0.5), random.between(0.0, 0.5));
             let [a, b, c] = triangle;
             let p = a + (b - a) * u + (c - a) * v;
             off = off.max(by_barycentric(p, triangle).distance(p) / 10.0);

@@ -14,7 +14,7 @@
 
 use super::embree::Tree;
 use super::hierarchy::{PartBox, Side};
-use super::refine::{Refined, refine};
+use super::refine::{Refined, across, refine};
 use super::watertight::Sheared;
 use super::{Hit, Ray, WIDTH};
 use smallvec::SmallVec;
@@ -79,8 +79,7 @@ impl Doubts {
 }
 
 fn is_back(tree: &Tree, ray: &Ray, triangle: u32) -> bool {
-    let [a, b, c] = tree.mesh().triangle(triangle as usize);
-    (b - a).cross(c - a).dot(ray.direction) > 0.0
+    across(tree.mesh().triangle(triangle as usize)).dot(ray.direction) > 0.0
 }
 
 /// What a ray meets in f64 that seems to meet `triangle` at `t`: there, or else behind.

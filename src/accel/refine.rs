@@ -15,7 +15,7 @@ pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
 }
 
 /// Normal to a triangle, twice its area long.
-fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
+pub(super) fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 

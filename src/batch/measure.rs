@@ -29,13 +29,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Lines of an image and the standard uncertainty of their rows, px.
-    pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<f64>) {
-        let (peaks, errors) = self.peaks_and_errors(counts);
-        (peaks, errors.iter().map(|error| error.sigma).collect())
-    }
-
-    fn peaks_and_errors(&self, counts: &[u16]) -> (Vec<Peak>, Vec<RowError>) {
+    /// Lines of an image and how far their rows may be off.
+    pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<RowError>) {
         let columns = self.scene.camera.sensor.resolution.x as usize;
         let mut peaks = find_peaks(counts, columns, &self.peak_settings());
         let errors = self.errors.row_errors(&mut peaks);
@@ -44,7 +39,7 @@ impl Simulation<'_> {
 
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.peaks_and_errors(counts);
+        let (peaks, errors) = self.peaks(counts);
         let points = self.points(frame, &peaks, &errors);
         (peaks, points)
     }

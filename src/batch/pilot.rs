@@ -65,7 +65,7 @@ impl Models {
         let of = |model: &ErrorModel, noise: f64| {
             let mut peaks = peaks.to_vec();
             peaks.iter_mut().for_each(|peak| peak.noise = noise);
-            model.row_uncertainties(&mut peaks)
+            model.row_errors(&mut peaks)
         };
         let none = of(&self.none, 0.0);
         let all = [
@@ -76,7 +76,10 @@ impl Models {
         // What is left without any is the finder's own bias.
         let less = |with: f64, none: f64| (with * with - none * none).max(0.0).sqrt();
         (0..peaks.len())
-            .map(|i| all.each_ref().map(|sigmas| less(sigmas[i], none[i])))
+            .map(|i| {
+                all.each_ref()
+                    .map(|errors| less(errors[i].sigma, none[i].sigma))
+            })
             .collect()
     }
 }

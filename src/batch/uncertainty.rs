@@ -63,12 +63,13 @@ pub fn monte_carlo(
         scene.seed = first.wrapping_add(k);
         let simulation = Simulation::new(&scene)?;
         let counts = simulation.counts(frame, &simulation.irradiance(frame));
-        let (peaks, uncertainties) = simulation.peaks(&counts);
+        let (peaks, stated) = simulation.peaks(&counts);
         found += peaks.len();
-        for (peak, predicted) in peaks.iter().zip(uncertainties) {
+        for (peak, stated) in peaks.iter().zip(stated) {
             let column = peak.column as usize;
             if let (true, Some(truth)) = (peak.flags.is_empty(), &truth[column]) {
                 let error = peak.row - truth.row;
+                let predicted = stated.sigma;
                 errors[column].push(RowError { error, predicted });
             }
         }

@@ -6,7 +6,7 @@
 use super::footprint::footprint;
 use super::irradiance::Irradiance;
 use super::lit::{Center, Light, LitRays};
-use super::pixels::{Pixels, SIDE};
+use super::pixels::{Pixels, SIDE, middle};
 use super::samples::Grid;
 use super::sight::Sight;
 use super::speckle::{Reader, Speckle};
@@ -99,11 +99,6 @@ struct Frame<'a> {
 /// Columns and rows of pixels whose samples are traced together where they are few.
 const BLOCK: usize = 2;
 
-/// Centre of a pixel.
-fn middle(column: usize, row: usize) -> DVec2 {
-    DVec2::new(column as f64, row as f64) + 0.5
-}
-
 impl Frame<'_> {
     /// Irradiance (mW/mm²) of the pixels of the bands from `first` on, row by row.
     fn render(&self, first: usize, window: &mut Window) -> Vec<f32> {
@@ -149,10 +144,7 @@ impl Frame<'_> {
     /// Mean irradiance of a tile's pixels, into rows of the sensor's width.
     fn tile(&self, band: usize, first: usize, around: usize, window: &Window, light: &mut [f32]) {
         let columns = self.pixels.columns;
-        let rows = SIDE.min(self.pixels.rows - SIDE * band);
-        let wanted = (0..rows).fold(0, |bits, row| {
-            bits | self.pixels.in_tile(SIDE * band + row, first) << (SIDE * row)
-        }) as u16;
+        let wanted = self.pixels.near_in_tile(band, first, 0);
         let size = [columns, self.pixels.rows];
         let alike = match around {
             0 => wanted,

@@ -1,7 +1,7 @@
 //! What single rays of the camera see: nothing, surface, lit surface.
 
 use super::View;
-use super::pixels::SIDE;
+use super::pixels::{SIDE, middle};
 use super::sight::Sight;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::math::{DVec2, DVec3, Rigid};
@@ -93,7 +93,7 @@ impl<'a> LitRays<'a> {
         for pixel in 0..WIDTH {
             let (column, row) = (first + pixel % SIDE, SIDE * band + pixel / SIDE);
             if column < resolution.x as usize && row < resolution.y as usize {
-                let place = DVec2::new(column as f64 + 0.5, row as f64 + 0.5);
+                let place = middle(column, row);
                 let to_sensor = self.sight.to_sensor(place);
                 directions[count] = self.sight.towards(to_sensor, &mut bend).normalize();
                 (pixels[count], places[count]) = (pixel, place);

@@ -2,11 +2,16 @@
 //! through their centres are traced.
 
 use crate::accel::WIDTH;
-use glam::UVec2;
+use glam::{DVec2, UVec2};
 
 /// Pixels along each side of a tile.
 pub(super) const SIDE: usize = 4;
 const _: () = assert!(SIDE * SIDE == WIDTH && 64 % SIDE == 0);
+
+/// Centre of a pixel on the sensor.
+pub(super) fn middle(column: usize, row: usize) -> DVec2 {
+    DVec2::new(column as f64, row as f64) + 0.5
+}
 
 /// A set of pixels. Rays are traced by tiles of 4 × 4 pixels: sixteen of a row side by
 /// side meet more triangles than these. Tiles are the same whatever is traced: Embree
@@ -98,7 +103,7 @@ impl Pixels {
 
     /// Which of the pixels of a row from `column` to the end of its tile are in the
     /// set, as bits.
-    pub fn in_tile(&self, row: usize, column: usize) -> u64 {
+    fn in_tile(&self, row: usize, column: usize) -> u64 {
         self.row(row)[column / 64] >> (column % 64) & 0xf
     }
 

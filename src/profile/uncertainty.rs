@@ -132,11 +132,6 @@ impl ErrorModel {
         }
     }
 
-    /// Standard uncertainty of each peak's row, px; flags as [`ErrorModel::row_errors`].
-    pub fn row_uncertainties(&self, peaks: &mut [Peak]) -> Vec<f64> {
-        self.row_errors(peaks).iter().map(|e| e.sigma).collect()
-    }
-
     /// How far each peak's row may be off. Sets [`Flags::OUTSIDE`] of the
     /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
     /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
