@@ -23,15 +23,16 @@ void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, vo
 void lt_device_release(RTCDevice device) { rtcReleaseDevice(device); }
 
 RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
-                           float **vertex_buffer, size_t triangles,
-                           const uint32_t *triangle_buffer) {
+                           float **vertex_buffer, bool quads, size_t faces,
+                           const uint32_t *index_buffer) {
   RTCScene scene = rtcNewScene(device);
   if (!scene) return NULL;
   /* Not COMPACT: with ROBUST, coherent 16-wide occlusion of Debian 12's 3.13.5
    * never returns on AVX-512. Not HIGH: ROBUST silently ignores it. */
   rtcSetSceneFlags(scene, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
   rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_MEDIUM);
-  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+  RTCGeometry geometry = rtcNewGeometry(device,
+      quads ? RTC_GEOMETRY_TYPE_QUAD : RTC_GEOMETRY_TYPE_TRIANGLE);
   if (!geometry) {
     rtcReleaseScene(scene);
     return NULL;
@@ -45,8 +46,9 @@ RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
     rtcReleaseScene(scene);
     return NULL;
   }
-  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
-      triangle_buffer, 0, 3 * sizeof(uint32_t), triangles);
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0,
+      quads ? RTC_FORMAT_UINT4 : RTC_FORMAT_UINT3, index_buffer, 0,
+      (quads ? 6 : 3) * sizeof(uint32_t), faces);
   rtcAttachGeometryByID(scene, geometry, 0);
   rtcReleaseGeometry(geometry);
   return scene;

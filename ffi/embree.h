@@ -37,12 +37,13 @@ void lt_device_on_error(RTCDevice device, RTCErrorFunction function, void *user)
 void lt_device_on_memory(RTCDevice device, RTCMemoryMonitorFunction function, void *user);
 void lt_device_release(RTCDevice device);
 
-/* A medium-quality scene, robust if so asked, of one triangle mesh whose vertices
- * (three floats each) are still to be filled in, and whose triangles (three indices
- * each) stay the caller's for as long as the scene lives. */
+/* A medium-quality scene, robust if so asked, of one mesh whose vertices (three floats
+ * each) are still to be filled in, and whose faces stay the caller's for as long as the
+ * scene lives: triangles of three indices each, or quads of four and two numbers that
+ * are not read. */
 RTCScene lt_mesh_scene_new(RTCDevice device, bool robust, size_t vertices,
-                           float **vertex_buffer, size_t triangles,
-                           const uint32_t *triangle_buffer);
+                           float **vertex_buffer, bool quads, size_t faces,
+                           const uint32_t *index_buffer);
 /* Calls `function` from any thread with the share done (0 to 1, not in order) while
  * the scene is committed; if it returns false, that ends with RTC_ERROR_CANCELLED. */
 void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, void *user);

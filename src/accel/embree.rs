@@ -1,129 +1,26 @@
 //! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before they
 //! are narrowed to f32, so that a far-off part costs no digits.
 
+use super::embree_device::{Device, ffi};
 use super::hierarchy::{PartBox, Side};
+use super::quads::Quads;
 use super::refine::nearest_on_triangle;
 use super::{Face, Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::DVec3;
 use crate::mesh::{Mesh, Watch};
 use rayon::prelude::*;
-use std::ffi::{CStr, CString, c_char, c_void};
+use std::ffi::c_void;
 use std::sync::Mutex;
-
-#[allow(
-    dead_code,
-    non_camel_case_types,
-    non_snake_case,
-    non_upper_case_globals,
-    clippy::all
-)]
-pub(super) mod ffi {
-    include!(concat!(env!("OUT_DIR"), "/embree.rs"));
-}
-
-/// "3.13.5" from 31305.
-fn version_string(version: u32) -> String {
-    format!(
-        "{}.{}.{}",
-        version / 10000,
-        version / 100 % 100,
-        version % 100
-    )
-}
-
-/// Version of the Embree this program was compiled against.
-pub fn version() -> String {
-    // SAFETY: returns a constant.
-    version_string(unsafe { ffi::lt_header_version() })
-}
-
-/// The first error Embree reported since it was last asked.
-type ErrorSlot = Mutex<Option<String>>;
-
-unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
-    // SAFETY: `slot` is the boxed ErrorSlot given to lt_device_on_error, which
-    // lives as long as the device; `text` is NULL or a C string of Embree's.
-    let (slot, text) = unsafe {
-        let text = if text.is_null() {
-            "no text".into()
-        } else {
-            CStr::from_ptr(text).to_string_lossy()
-        };
-        (&*(slot as *const ErrorSlot), text)
-    };
-    let mut first = slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    first.get_or_insert_with(|| format!("{text} (error {code})"));
-}
-
-pub(super) struct Device {
-    pub(super) handle: ffi::RTCDevice,
-    error: Box<ErrorSlot>,
-}
-
-impl Device {
-    pub(super) fn new(threads: usize) -> Result<Device> {
-        Device::configured(&format!("threads={threads}"))
-    }
-
-    /// With settings as `rtcNewDevice` takes them.
-    fn configured(settings: &str) -> Result<Device> {
-        let config = CString::new(settings).expect("no NUL in it");
-        let mut code = 0;
-        // SAFETY: both pointers are valid for the call.
-        let handle = unsafe { ffi::lt_device_new(config.as_ptr(), &mut code) };
-        if handle.is_null() {
-            return Err(Error::Embree(format!("cannot start (error {code})")));
-        }
-        let error = Box::new(ErrorSlot::default());
-        let slot = &*error as *const ErrorSlot as *mut c_void;
-        // SAFETY: the handle is a live device; the slot is boxed, so it stays
-        // where it is until `drop`, which releases the device first.
-        let (header, library) = unsafe {
-            ffi::lt_device_on_error(handle, Some(record_error), slot);
-            (ffi::lt_header_version(), ffi::lt_library_version(handle))
-        };
-        let device = Device { handle, error };
-        check_versions(header, library)?;
-        Ok(device)
-    }
-
-    /// What Embree reported, if anything.
-    fn check(&self) -> Result<()> {
-        let mut first = self
-            .error
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner());
-        first.take().map_or(Ok(()), |text| Err(Error::Embree(text)))
-    }
-}
-
-/// Struct layouts change between minor versions (RTCHit grew in 4.3).
-fn check_versions(header: u32, library: u32) -> Result<()> {
-    if header / 100 == library / 100 {
-        return Ok(());
-    }
-    Err(Error::Embree(format!(
-        "built against {}, but {} is loaded: rebuild lasertrace on this machine",
-        version_string(header),
-        version_string(library)
-    )))
-}
-
-impl Drop for Device {
-    fn drop(&mut self) {
-        // SAFETY: the handle is live and released only here.
-        unsafe { ffi::lt_device_release(self.handle) }
-    }
-}
 
 /// Embree's scene of one mesh.
 pub struct Tree<'m> {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     device: Device,
-    /// The scene refers to its triangles.
+    /// The scene refers to its triangles, or to the quads if there are any.
     mesh: &'m Mesh,
+    quads: Option<Quads>,
 }
 
 /// Who watches a build, and the error with which they ended it.
@@ -175,31 +72,37 @@ impl<'m> Tree<'m> {
         threads: usize,
         watch: &Watch,
     ) -> Result<Tree<'m>> {
-        let tree = Tree::filled(Device::new(threads)?, mesh, part, true)?;
+        let tree = Tree::filled(Device::new(threads)?, mesh, Quads::of(mesh), part, true)?;
         tree.commit(watch)?;
         Ok(tree)
     }
 
-    /// A scene of the mesh that is still to be committed.
+    /// A scene of the mesh, or of its triangles in pairs, that is still to be committed.
     pub(super) fn filled(
         device: Device,
         mesh: &'m Mesh,
+        quads: Option<Quads>,
         part: &PartBox,
         robust: bool,
     ) -> Result<Tree<'m>> {
         let vertices = mesh.positions.len();
         let mut vertex_buffer = std::ptr::null_mut();
+        let (faces, indices) = match &quads {
+            None => (mesh.triangles.len(), mesh.triangles.as_ptr().cast()),
+            Some(quads) => (quads.len(), quads.as_ptr()),
+        };
         // SAFETY: the device is live, the out-pointer valid for the call. The tree
-        // that releases the scene keeps the mesh borrowed, so its triangles, which
-        // Embree only reads, stay where they are.
+        // that releases the scene keeps the mesh borrowed and the quads, so that what
+        // Embree only reads of them stays where it is.
         let scene = unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
                 robust,
                 vertices,
                 &mut vertex_buffer,
-                mesh.triangles.len(),
-                mesh.triangles.as_ptr().cast(),
+                quads.is_some(),
+                faces,
+                indices,
             )
         };
         if scene.is_null() {
@@ -210,6 +113,7 @@ impl<'m> Tree<'m> {
             scene,
             device,
             mesh,
+            quads,
         };
         // SAFETY: Embree allocated `3 * vertices` floats (4-byte aligned), zeroed or
         // not, and no one else sees them before the commit. Writing through a slice
@@ -304,7 +208,11 @@ impl<'m> Tree<'m> {
                     + hit.Ng_y[i] * packet.ray.dir_y[i]
                     + hit.Ng_z[i] * packet.ray.dir_z[i];
                 let side = if along > 0.0 { Side::Back } else { Side::Front };
-                found(i, hit.primID[i], t, side);
+                let triangle = match &self.quads {
+                    None => hit.primID[i],
+                    Some(quads) => quads.triangle(hit.primID[i], hit.u[i], hit.v[i]),
+                };
+                found(i, triangle, t, side);
             }
         }
     }
@@ -347,11 +255,12 @@ impl<'m> Tree<'m> {
         radius: f64,
         visit: F,
     ) {
-        struct Search<F> {
+        struct Search<'t, F> {
+            quads: Option<&'t Quads>,
             visit: F,
             slack: f64,
         }
-        impl<F: FnMut(u32) -> Option<f64>> Search<F> {
+        impl<F: FnMut(u32) -> Option<f64>> Search<'_, F> {
             /// Embree compares with f32 vertices and an f32 query point: widened by
             /// their rounding, no nearer triangle is missed.
             fn widened(&self, radius: f64) -> f32 {
@@ -365,7 +274,15 @@ impl<'m> Tree<'m> {
                     let args = &*args;
                     (args, &mut *(args.userPtr as *mut Self), &mut *args.query)
                 };
-                let Some(radius) = (search.visit)(args.primID) else {
+                let [one, other] = match search.quads {
+                    None => [args.primID; 2],
+                    Some(quads) => quads.triangles(args.primID),
+                };
+                let mut nearer = (search.visit)(one);
+                if other != one {
+                    nearer = (search.visit)(other).or(nearer);
+                }
+                let Some(radius) = nearer else {
                     return false;
                 };
                 query.radius = search.widened(radius);
@@ -373,6 +290,7 @@ impl<'m> Tree<'m> {
             }
         }
         let mut search = Search {
+            quads: self.quads.as_ref(),
             visit,
             slack: part.resolution() + (p - part.center).length() * 2f64.powi(-20),
         };
@@ -395,4 +313,4 @@ impl<'m> Tree<'m> {
 
 #[cfg(test)]
 #[path = "embree_tests.rs"]
-mod tests;
+pub(super) mod tests;

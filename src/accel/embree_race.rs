@@ -2,7 +2,8 @@
 //! f32 as they are, one or 16 at a time, robust or fast, its memory counted.
 
 use super::WIDTH;
-use super::embree::{Device, Tree, Valid, ffi};
+use super::embree::{Tree, Valid};
+use super::embree_device::{Device, ffi};
 use super::hierarchy::PartBox;
 use crate::error::Result;
 use crate::mesh::Mesh;
@@ -66,7 +67,7 @@ impl<'m> BareEmbree<'m> {
         unsafe { ffi::lt_device_on_memory(device.handle, Some(count_memory), user) };
         let mut part = PartBox::new(mesh.bounds());
         part.center = crate::math::DVec3::ZERO;
-        let tree = Tree::filled(device, mesh, &part, robust)?;
+        let tree = Tree::filled(device, mesh, None, &part, robust)?;
         tree.commit(&|_| Ok(()))?;
         Ok(BareEmbree { tree, memory })
     }

@@ -4,11 +4,11 @@
 #[cfg(feature = "embree")]
 use super::astray::{Doubt, Doubts};
 #[cfg(feature = "embree")]
-use super::embree;
-#[cfg(feature = "embree")]
 use super::refine::Refined;
 use super::refine::{Tolerance, nearest_on_triangle, refine};
 use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
+#[cfg(feature = "embree")]
+use super::{embree, embree_device};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::{Mesh, Watch, memory};
@@ -52,7 +52,7 @@ impl Backend {
     pub fn version(self) -> String {
         match self {
             #[cfg(feature = "embree")]
-            Backend::Embree => format!("Embree {}", embree::version()),
+            Backend::Embree => format!("Embree {}", embree_device::version()),
             Backend::Rust => format!("Rust, on obvhs {}", rust_bvh::OBVHS),
         }
     }

@@ -11,9 +11,13 @@ mod clusters;
 mod copies;
 #[cfg(feature = "embree")]
 mod embree;
+#[cfg(feature = "embree")]
+mod embree_device;
 #[cfg(feature = "race")]
 pub mod embree_race;
 mod hierarchy;
+#[cfg(feature = "embree")]
+mod quads;
 mod refine;
 mod rust_bvh;
 mod watertight;

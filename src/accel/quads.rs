@@ -1,0 +1,180 @@
+//! Triangles two by two, as Embree's quads: half as many boxes to sort and to keep.
+//! For 12.9 million triangles building takes 0.4 of the time and two thirds of the
+//! memory of triangles by themselves, and rays cost the same to 15 % more. Below some
+//! millions the build is short either way, and triangles are 12 % faster to trace.
+
+use crate::mesh::Mesh;
+use rayon::prelude::*;
+
+/// Meshes of more triangles are paired.
+const MANY: usize = 1 << 22;
+
+/// Triangles among which neighbours are looked for. Fixed, so that the pairs are the
+/// same for any number of threads.
+const CHUNK: usize = 1 << 16;
+
+/// Two triangles with a side in common, or one.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Quad {
+    /// As Embree takes them: the triangles are corners 0, 1, 3 and 2, 3, 1. Of one alone
+    /// 2 and 3 are the same.
+    corners: [u32; 4],
+    /// Their numbers; of one alone twice the same.
+    triangles: [u32; 2],
+}
+
+/// A mesh as quads.
+pub(super) struct Quads(Vec<Quad>);
+
+/// A side of a triangle that has no partner yet.
+#[derive(Clone, Copy)]
+struct Side {
+    from: u32,
+    to: u32,
+    opposite: u32,
+    /// Place of the triangle among the quads.
+    quad: u32,
+}
+
+impl Quads {
+    /// `None` for meshes that are as well off without: small ones, and those of which a
+    /// third or more finds no partner.
+    pub fn of(mesh: &Mesh) -> Option<Quads> {
+        if mesh.triangles.len() <= MANY {
+            return None;
+        }
+        let quads = Quads::pair(mesh);
+        (3 * quads.0.len() <= 2 * mesh.triangles.len()).then_some(quads)
+    }
+
+    /// Pairs neighbours that stand near each other in the mesh's order.
+    pub fn pair(mesh: &Mesh) -> Quads {
+        let chunks = mesh.triangles.par_chunks(CHUNK).enumerate();
+        let chunks: Vec<Vec<Quad>> = chunks
+            .map(|(i, triangles)| pair(triangles, (i * CHUNK) as u32))
+            .collect();
+        Quads(chunks.concat())
+    }
+
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    pub fn as_ptr(&self) -> *const u32 {
+        self.0.as_ptr().cast()
+    }
+
+    /// The triangles of a quad; the same twice if it is one.
+    pub fn triangles(&self, quad: u32) -> [u32; 2] {
+        self.0[quad as usize].triangles
+    }
+
+    /// The triangle at Embree's coordinates of a quad. On the diagonal, and within
+    /// rounding of it, either.
+    pub fn triangle(&self, quad: u32, u: f32, v: f32) -> u32 {
+        self.triangles(quad)[usize::from(u + v > 1.0)]
+    }
+}
+
+/// Pairs of some triangles that are numbered from `first`. The sides of those without a
+/// partner are kept where their ends say, the last of several: enough to find nearly all
+/// neighbours in the orders meshes come in, and a few nanoseconds a triangle.
+fn pair(triangles: &[[u32; 3]], first: u32) -> Vec<Quad> {
+    const SLOTS: usize = 1 << 12;
+    let none = Side {
+        from: 0,
+        to: 0,
+        opposite: 0,
+        quad: 0,
+    };
+    let mut sides = vec![none; SLOTS];
+    let slot = |from: u32, to: u32| {
+        let mixed = from.wrapping_mul(0x9e37_79b1) ^ to.wrapping_mul(0x85eb_ca6b);
+        mixed as usize >> 12 & (SLOTS - 1)
+    };
+    let mut quads: Vec<Quad> = Vec::with_capacity(triangles.len() / 2);
+    for (&[a, b, c], number) in triangles.iter().zip(first..) {
+        let around = [[a, b, c], [b, c, a], [c, a, b]];
+        let partner = around.iter().find_map(|&[from, to, opposite]| {
+            let side = sides[slot(to, from)];
+            let free = |quad: &Quad| quad.triangles[0] == quad.triangles[1];
+            let joins = (side.from, side.to) == (to, from) && from != to;
+            (joins && quads.get(side.quad as usize).is_some_and(free)).then_some((side, opposite))
+        });
+        if let Some((side, opposite)) = partner {
+            let quad = &mut quads[side.quad as usize];
+            quad.corners = [side.opposite, side.from, opposite, side.to];
+            quad.triangles[1] = number;
+            continue;
+        }
+        for [from, to, opposite] in around {
+            let quad = quads.len() as u32;
+            sides[slot(from, to)] = Side {
+                from,
+                to,
+                opposite,
+                quad,
+            };
+        }
+        quads.push(Quad {
+            corners: [a, b, c, c],
+            triangles: [number; 2],
+        });
+    }
+    quads
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::shapes;
+
+    /// The corners of a triangle, the least first.
+    fn turned([a, b, c]: [u32; 3]) -> [u32; 3] {
+        [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().unwrap()
+    }
+
+    #[test]
+    fn every_triangle_is_in_one_quad_as_it_was() {
+        let sphere = shapes::sphere(10.0, 2e-4).unwrap();
+        let loose = Mesh {
+            positions: sphere.positions.clone(),
+            triangles: vec![
+                [0, 1, 2],
+                [0, 1, 2],
+                [3, 3, 4],
+                [4, 3, 3],
+                [5, 6, 7],
+                [7, 6, 8],
+            ],
+        };
+        for (mesh, most) in [(&sphere, 0.56), (&loose, 0.84)] {
+            let quads = Quads::pair(mesh);
+            let mut found = vec![0; mesh.triangles.len()];
+            for &Quad { corners, triangles } in &quads.0 {
+                let [a, b, c, d] = corners;
+                let halves = [[a, b, d], [c, d, b]];
+                let one = triangles[0] == triangles[1];
+                assert!(!one || c == d);
+                for (half, number) in halves.into_iter().zip(triangles).take(2 - one as usize) {
+                    assert_eq!(turned(half), turned(mesh.triangles[number as usize]));
+                    found[number as usize] += 1;
+                }
+            }
+            assert!(found.iter().all(|&times| times == 1));
+            let share = quads.len() as f64 / found.len() as f64;
+            println!("{share} quads a triangle");
+            assert!(share < most, "{share}");
+        }
+    }
+
+    #[test]
+    fn a_triangle_that_another_lies_on_is_not_taken_for_its_neighbour() {
+        let mesh = Mesh {
+            positions: vec![],
+            triangles: vec![[0, 1, 2]; 4],
+        };
+        assert_eq!(Quads::pair(&mesh).len(), 4);
+    }
+}
