@@ -101,15 +101,18 @@ fn edge() {
     assert!((15.0..30.0).contains(&worst), "{worst} µm");
 }
 
-/// What is stated is half the beam's radius of 30 µm off the sheet, seen at 45°.
+/// The line is 30 to 40 px wide (σ), and its middle where it should be. What is stated is
+/// what it would be off if half the beam's radius were missing on one side: 15 µm at the
+/// waist, 18 µm 2.9 mm beyond, and 4 % more on a wall 2° from the sheet.
 #[test]
 fn grazing() {
-    let worst = all_flagged("limits/grazing", Flags::BORDER, 2 * 640);
-    assert!((20.0..50.0).contains(&worst), "{worst} µm");
-    for p in measured("limits/grazing") {
-        let stated = 2e3 * p.deviation_sigma;
-        assert!((30.0..40.0).contains(&stated), "{stated} µm");
-        assert!(p.deviation.abs() * 1e3 < 1.2 * stated, "{p:?}");
+    let points = measured("limits/grazing");
+    assert_eq!(points.len(), 3 * 640);
+    for p in points {
+        assert!(p.flags.is_empty(), "{p:?}");
+        assert!(p.deviation.abs() < 2e-3, "{p:?}");
+        let stated = 1e3 * p.deviation_sigma;
+        assert!((15.0..19.0).contains(&stated), "{stated} µm");
     }
 }
 

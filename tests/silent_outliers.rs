@@ -291,8 +291,7 @@ fn outliers_carry_flags() {
         ("limits/far", 0.0),
         ("limits/border", 0.0),
         ("limits/edge", 0.0),
-        // Its lines are longer than the sensor is high: all carry BORDER.
-        ("limits/grazing", 1.0),
+        ("limits/grazing", 0.0),
     ] {
         let points = points(name);
         assert!(!points.is_empty(), "{name}");
@@ -308,6 +307,7 @@ fn outliers_carry_flags() {
     }
     all.print("all");
     assert!(all.off > 1000 && all.silent as f64 <= 0.01 * all.off as f64);
+    assert!(all.suspected as f64 <= 0.01 * all.good as f64);
 }
 
 /// Measured shares with a little room; `silent` is that of points which are far off without a
