@@ -173,6 +173,10 @@ fn main() {
         ("sphere of 8000, off the origin", far),
         ("sphere of 800 000", shapes::sphere(40.0, 4e-4).unwrap()),
         (
+            "sphere of 5 million, as quads",
+            shapes::sphere(40.0, 6e-5).unwrap(),
+        ),
+        (
             "cylinder of slivers",
             shapes::cylinder(5.0, 60.0, 1e-4).unwrap(),
         ),
@@ -187,7 +191,7 @@ fn main() {
         let oracle = Accel::build_with(Backend::Rust, mesh, 1, &|_| Ok(())).unwrap();
         let camera = camera(&accel);
         for (what, on_edge) in [("vertices", false), ("edges", true)] {
-            let t = race(&accel, &oracle, on_edge, count / 8);
+            let t = race(&accel, &oracle, on_edge, count / 10);
             println!(
                 "{name}, {what}: {} {} {} {} {}; {camera:.1}",
                 t.rays, t.lost, t.falsely, t.shadows_lost, t.shadows_through_lost

@@ -168,6 +168,26 @@ mod tests {
         }
     }
 
+    /// Small meshes stay triangles, and those in which hardly any find a partner.
+    #[test]
+    fn large_meshes_whose_triangles_join_are_paired() {
+        let strip = |count: u32| (0..count).map(|i| [i, i + 1 + i % 2, i + 2 - i % 2]);
+        let quads = |triangles| {
+            let positions = Vec::new();
+            Quads::of(&Mesh {
+                positions,
+                triangles,
+            })
+            .map(|quads| quads.len())
+        };
+        let many = MANY as u32;
+        assert_eq!(quads(strip(many).collect()), None);
+        // All but those whose sides fall on another's slot.
+        let paired = quads(strip(many + 2).collect()).unwrap();
+        assert!(paired < MANY / 2 + MANY / 100, "{paired}");
+        assert_eq!(quads(vec![[0, 1, 2]; MANY + 2]), None);
+    }
+
     #[test]
     fn a_triangle_that_another_lies_on_is_not_taken_for_its_neighbour() {
         let mesh = Mesh {
