@@ -61,8 +61,9 @@ const LARGE_PIXELS: &str = "resolution_px = [640, 480]\npixel_pitch_um = 7\n\
     black_level_dn = 8\nread_noise_e = 15";
 
 /// Scenes on which nothing of the flags and uncertainties was found when they were made; what
-/// they showed was looked at since, and led to `profile::cut` and `profile::clipping`.
-const LOOKED_AT: [Other; 4] = [
+/// they showed was looked at since, and led to `profile::cut` and `profile::clipping`, and
+/// that of the last three to what is said of points near a line's end.
+const LOOKED_AT: [Other; 7] = [
     // To its horizon and beyond, where the line grazes and ends. On the side away from the
     // camera it is narrower than 0.4 of what is expected of a whole one: EDGE.
     Other {
@@ -123,10 +124,6 @@ const LOOKED_AT: [Other; 4] = [
         sensor: TEN_BITS,
         suspected: 0.009,
     },
-];
-
-/// Scenes that were made, and run once, after everything was settled.
-const UNSEEN: [Other; 3] = [
     // The side away from the camera grazes its view: lines narrower than 0.4 of what is
     // expected, EDGE.
     Other {
@@ -170,6 +167,53 @@ const UNSEEN: [Other; 3] = [
         step_mm: 0.9,
         sensor: TEN_BITS,
         suspected: 0.017,
+    },
+];
+
+/// Scenes that were made, and run once, after everything was settled.
+const UNSEEN: [Other; 3] = [
+    Other {
+        name: "a ball of 5 mm, red, f/8, 35°, pixels of 3.45 µm",
+        part: "sphere = { radius_mm = 5, chord_um = 0.3 }\nposition_mm = [0.4, 0, -5]",
+        wavelength_nm: 633.0,
+        waist_um: 100.0,
+        f_number: 8.0,
+        angle: 35.0,
+        exposure_ms: 0.06,
+        frames: 41,
+        step_mm: 0.22,
+        sensor: TWELVE_BITS,
+        suspected: 0.06,
+    },
+    // Its risers lean, and the line runs down them wider than anywhere: WIDE, OUTSIDE.
+    Other {
+        name: "a block of steps of 3 mm, tilted, green, f/5.6, 33°",
+        part: "step_block = { size_mm = [15, 15, 8], step_mm = 3 }\nposition_mm = [0, 0, -7]\n\
+               rotation_deg = [-6, 10, 62]",
+        wavelength_nm: 532.0,
+        waist_um: 80.0,
+        f_number: 5.6,
+        angle: 33.0,
+        exposure_ms: 0.035,
+        frames: 41,
+        step_mm: 0.4,
+        sensor: TEN_BITS,
+        suspected: 0.17,
+    },
+    // The first frames graze its horizon, which cuts the beam over a hundred columns.
+    Other {
+        name: "a cylinder along the line, near infrared, f/11, 30°, pixels of 7 µm",
+        part: "cylinder = { radius_mm = 8, length_mm = 14, chord_um = 0.4 }\n\
+               position_mm = [0, 0, -8]\nrotation_deg = [4, 90, 10]",
+        wavelength_nm: 808.0,
+        waist_um: 150.0,
+        f_number: 11.0,
+        angle: 30.0,
+        exposure_ms: 0.1,
+        frames: 41,
+        step_mm: 0.35,
+        sensor: LARGE_PIXELS,
+        suspected: 0.005,
     },
 ];
 
@@ -340,5 +384,5 @@ fn outliers_of_scenes_that_were_looked_at_carry_flags() {
 
 #[test]
 fn outliers_of_unseen_scenes_carry_flags() {
-    outliers_of_others(&UNSEEN, 3e-4);
+    outliers_of_others(&UNSEEN, 5e-4);
 }

@@ -110,8 +110,8 @@ impl Simulation<'_> {
                 covariance += self.of_a_part_of_the_light(peak, in_head);
             }
             let sigma = trace(&covariance).max(0.0).sqrt();
-            // Beside the edge that cuts a line two surfaces meet, and either may be nearest.
-            let deviation_sigma = match error.cut {
+            // Beside an edge two surfaces meet, and either may be nearest.
+            let deviation_sigma = match error.beside_edge {
                 true => sigma,
                 false => across(&covariance),
             };

@@ -12,8 +12,10 @@ use std::f64::consts::{SQRT_2, TAU};
 /// it does as often as not.
 const EDGES: f64 = 1e-3;
 
-/// Widths of the line along its columns that an edge at 45° to it cuts.
-const CUT_SIGMAS: f64 = 4.0;
+/// Columns in which an edge at 45° to a line of this width (σ, px) cuts it.
+pub(super) fn columns_cut(sigma: f64) -> f64 {
+    (4.0 * sigma).max(2.0)
+}
 
 /// Relative variance of a line's light between columns that speckle does not explain, at least:
 /// that of the reflectance and slope of a smooth part.
@@ -129,7 +131,7 @@ impl Cuts {
         let step = |i: usize| {
             let cut = if ends(i) || ends(i + 1) { 0.5 } else { EDGES };
             let sigma = expected[i].map_or(peaks[i].sigma, |e| e.sigma);
-            (cut, (CUT_SIGMAS * sigma).max(2.0).recip())
+            (cut, columns_cut(sigma).recip())
         };
         let normal = |[whole, cut]: [f64; 2]| [whole / (whole + cut), cut / (whole + cut)];
         let mut chances = vec![[1.0; 2]; peaks.len()];

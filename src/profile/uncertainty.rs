@@ -2,7 +2,7 @@
 //! light: speckle, shot noise, background noise, rounding.
 
 use super::clipping::{Clipped, Clipping};
-use super::cut::Cuts;
+use super::cut::{Cuts, columns_cut};
 use super::influence::{bias, influence};
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
@@ -52,8 +52,10 @@ const NODES: usize = 96;
 pub struct RowError {
     /// Standard uncertainty, px.
     pub sigma: f64,
-    /// Whether an edge along the line has the greater part in it.
-    pub cut: bool,
+    /// Whether an edge is so near that either of the surfaces it joins may be nearest: one
+    /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
+    /// in which one at 45° would cut it.
+    pub beside_edge: bool,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -147,6 +149,7 @@ impl ErrorModel {
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
         let cuts = self.cuts.find(peaks, &expected, &lights);
+        let near_ends = near_ends(peaks, &sigmas);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
             let peak = &mut peaks[i];
@@ -166,7 +169,7 @@ impl ErrorModel {
             let cut = cuts[i].chance * cuts[i].square;
             RowError {
                 sigma: (uncut + cut).sqrt(),
-                cut: cut > uncut,
+                beside_edge: near_ends[i] || cut > uncut,
             }
         };
         (0..sigmas.len()).map(of).collect()
@@ -236,6 +239,20 @@ impl ErrorModel {
             light: between(|v| v.light),
         }
     }
+}
+
+/// Whether the line, so wide, ends so near to each peak that an edge there may cut it.
+fn near_ends(peaks: &[Peak], sigmas: &[f64]) -> Vec<bool> {
+    let mut near = vec![false; peaks.len()];
+    let mut first = 0;
+    for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
+        for i in 0..run.len() {
+            let to_end = i.min(run.len() - 1 - i) as f64;
+            near[first + i] = to_end <= columns_cut(sigmas[first + i]);
+        }
+        first += run.len();
+    }
+    near
 }
 
 /// Variance (px²) of the difference between the mean row of a line over a column and its
