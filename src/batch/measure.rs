@@ -33,7 +33,7 @@ impl Simulation<'_> {
     pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<RowError>) {
         let columns = self.scene.camera.sensor.resolution.x as usize;
         let mut peaks = find_peaks(counts, columns, &self.peak_settings());
-        let errors = self.errors.row_errors(&mut peaks);
+        let errors = self.errors.row_errors(&mut peaks, columns);
         (peaks, errors)
     }
 
@@ -63,7 +63,7 @@ impl Simulation<'_> {
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
         compare_neighbours(&mut peaks, columns, settings.expected_sigma);
-        let errors = self.errors.row_errors(&mut peaks);
+        let errors = self.errors.row_errors(&mut peaks, columns);
         (peaks, errors)
     }
 

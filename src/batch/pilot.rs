@@ -43,6 +43,7 @@ struct Models {
     none: ErrorModel,
     /// Noise of dark pixels, counts.
     dark: f64,
+    columns: usize,
 }
 
 impl Models {
@@ -56,6 +57,7 @@ impl Models {
             shot: ErrorModel::new(finder, shot, None),
             none: ErrorModel::new(finder, 0.0, None),
             dark: (read * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt()),
+            columns: sensor.resolution.x as usize,
         }
     }
 
@@ -65,7 +67,7 @@ impl Models {
         let of = |model: &ErrorModel, noise: f64| {
             let mut peaks = peaks.to_vec();
             peaks.iter_mut().for_each(|peak| peak.noise = noise);
-            model.row_errors(&mut peaks)
+            model.row_errors(&mut peaks, self.columns)
         };
         let none = of(&self.none, 0.0);
         let all = [

@@ -139,9 +139,9 @@ impl ErrorModel {
     /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
     /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
     /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
-    /// in the order of columns; a line's width is that of its neighbourhood, as one column's
+    /// in the order of its `columns`; a line's width is that of its neighbourhood, as one column's
     /// is mostly speckle, and that of its climb.
-    pub fn row_errors(&self, peaks: &mut [Peak]) -> Vec<RowError> {
+    pub fn row_errors(&self, peaks: &mut [Peak], columns: usize) -> Vec<RowError> {
         let runs = runs(peaks);
         let expected = expected(peaks, &runs);
         let clipped = self.clipped(peaks, &expected);
@@ -149,7 +149,7 @@ impl ErrorModel {
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
         let cuts = self.cuts.find(peaks, &expected, &lights);
-        let near_ends = near_ends(peaks, &sigmas);
+        let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
             let peak = &mut peaks[i];
@@ -241,16 +241,18 @@ impl ErrorModel {
     }
 }
 
-/// Whether the line, so wide, ends so near to each peak that an edge there may cut it.
-fn near_ends(peaks: &[Peak], sigmas: &[f64]) -> Vec<bool> {
-    let mut near = vec![false; peaks.len()];
-    let mut first = 0;
+/// Whether the line, so wide, ends so near to each peak that an edge there may cut it. At the
+/// sensor's border it does not end.
+fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
+    let mut near = Vec::with_capacity(peaks.len());
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
-        for i in 0..run.len() {
-            let to_end = i.min(run.len() - 1 - i) as f64;
-            near[first + i] = to_end <= columns_cut(sigmas[first + i]);
+        let (first, last) = (run[0].column, run[run.len() - 1].column);
+        for peak in run {
+            let reach = columns_cut(sigmas[near.len()]);
+            let before = first > 0 && f64::from(peak.column - first) <= reach;
+            let after = (last as usize + 1) < columns && f64::from(last - peak.column) <= reach;
+            near.push(before || after);
         }
-        first += run.len();
     }
     near
 }
