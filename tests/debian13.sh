@@ -132,7 +132,8 @@ check_out() {
     mkdir -p "$root$checkout"
     find "$root$checkout" -mindepth 1 -maxdepth 1 ! -name target -exec rm -rf {} +
     [ -z "$(git status --porcelain)" ] || say "uncommitted changes are left out: HEAD is tested"
-    git archive HEAD | tar -xm -C "$root$checkout"
+    commit=$(git rev-parse --short HEAD)
+    git archive "$commit" | tar -xm -C "$root$checkout"
 }
 
 inside() {
@@ -189,4 +190,4 @@ inside 'make test'
 [ "$demo" = no ] || inside 'make demo'
 # shellcheck disable=SC2016 # the variable is the chroot's
 inside '. /etc/os-release; echo "$PRETTY_NAME"; dpkg-query -W "libembree*"'
-say "passed on Debian 13: $(git rev-parse --short HEAD)"
+say "passed on Debian 13: $commit"
