@@ -170,7 +170,8 @@ const LOOKED_AT: [Other; 7] = [
     },
 ];
 
-/// Scenes that were made, and run once, after everything was settled.
+/// Scenes that were made after the last of these rules was thought of; what they showed changed
+/// nothing but their own bounds.
 const UNSEEN: [Other; 3] = [
     Other {
         name: "a ball of 5 mm, red, f/8, 35°, pixels of 3.45 µm",

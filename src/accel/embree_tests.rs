@@ -5,12 +5,17 @@ use crate::accel::hierarchy::tests::{rays_at, soup};
 use crate::math::DVec2;
 use std::path::Path;
 
-/// The hierarchy that a larger mesh would have.
-pub fn of_quads<'m>(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
-    let quads = Some(Quads::pair(mesh));
-    let tree = Tree::filled(Device::new(1).unwrap(), mesh, quads, part, true).unwrap();
+/// A hierarchy by a device with these settings.
+fn built<'m>(settings: &str, mesh: &'m Mesh, quads: Option<Quads>, part: &PartBox) -> Tree<'m> {
+    let device = Device::configured(settings).unwrap();
+    let tree = Tree::filled(device, mesh, quads, part, true).unwrap();
     tree.commit(&|_| Ok(())).unwrap();
     tree
+}
+
+/// The hierarchy that a larger mesh would have.
+pub fn of_quads<'m>(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
+    built("threads=1", mesh, Some(Quads::pair(mesh)), part)
 }
 
 /// The bytes behind the structs stay as they were: had the header another
@@ -60,9 +65,7 @@ fn other_instructions_meet_the_same_triangles() {
     let part = PartBox::new(mesh.bounds());
     let rays = rays_at(&mesh, 20_000);
     let met = |settings: &str| {
-        let device = Device::configured(settings).unwrap();
-        let tree = Tree::filled(device, &mesh, None, &part, true).unwrap();
-        tree.commit(&|_| Ok(())).unwrap();
+        let tree = built(settings, &mesh, None, &part);
         let mut met = vec![(None, 0.0); rays.len()];
         for (packet, rays) in rays.chunks(WIDTH).enumerate() {
             tree.closest(rays, &part, |i, triangle, t, side| {
@@ -85,7 +88,7 @@ fn other_instructions_meet_the_same_triangles() {
 
 /// What the rays of a frame and points near the part meet.
 struct Answers {
-    /// Triangle and distance, if any.
+    /// Triangle, its side and distance (mm), if any.
     hits: Vec<Option<(u32, Side, f64)>>,
     shadows: Vec<u16>,
     nearest: Vec<Nearest>,
@@ -116,9 +119,7 @@ impl Demo {
     /// Of the rays, as many shadows, and 2000 nearest points.
     fn answers(&self, settings: &str, quads: Option<Quads>) -> Answers {
         let part = PartBox::new(self.mesh.bounds());
-        let device = Device::configured(settings).unwrap();
-        let tree = Tree::filled(device, &self.mesh, quads, &part, true).unwrap();
-        tree.commit(&|_| Ok(())).unwrap();
+        let tree = built(settings, &self.mesh, quads, &part);
         let mut hits = vec![None; self.rays.len()];
         for (packet, rays) in self.rays.chunks(WIDTH).enumerate() {
             tree.closest(rays, &part, |i, triangle, t, side| {

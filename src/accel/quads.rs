@@ -29,7 +29,7 @@ pub(super) struct Quads(Vec<Quad>);
 
 /// A side of a triangle that has no partner yet.
 #[derive(Clone, Copy)]
-struct Side {
+struct OpenSide {
     from: u32,
     to: u32,
     opposite: u32,
@@ -45,7 +45,7 @@ impl Quads {
             return None;
         }
         let quads = Quads::pair(mesh);
-        (3 * quads.0.len() <= 2 * mesh.triangles.len()).then_some(quads)
+        (3 * quads.len() <= 2 * mesh.triangles.len()).then_some(quads)
     }
 
     /// Pairs neighbours that stand near each other in the mesh's order.
@@ -82,7 +82,7 @@ impl Quads {
 /// neighbours in the orders meshes come in, and a few nanoseconds a triangle.
 fn pair(triangles: &[[u32; 3]], first: u32) -> Vec<Quad> {
     const SLOTS: usize = 1 << 12;
-    let none = Side {
+    let none = OpenSide {
         from: 0,
         to: 0,
         opposite: 0,
@@ -110,7 +110,7 @@ fn pair(triangles: &[[u32; 3]], first: u32) -> Vec<Quad> {
         }
         for [from, to, opposite] in around {
             let quad = quads.len() as u32;
-            sides[slot(from, to)] = Side {
+            sides[slot(from, to)] = OpenSide {
                 from,
                 to,
                 opposite,

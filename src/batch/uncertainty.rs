@@ -29,12 +29,12 @@ pub struct MonteCarlo {
 
 /// Error of a row and its predicted uncertainty, px.
 #[derive(Debug, Clone, Copy)]
-struct RowError {
+struct Draw {
     error: f64,
     predicted: f64,
 }
 
-impl RowError {
+impl Draw {
     fn is_covered(&self) -> bool {
         self.error.abs() <= 1.96 * self.predicted
     }
@@ -70,13 +70,13 @@ pub fn monte_carlo(
             if let (true, Some(truth)) = (peak.flags.is_empty(), &truth[column]) {
                 let error = peak.row - truth.row;
                 let predicted = stated.sigma;
-                errors[column].push(RowError { error, predicted });
+                errors[column].push(Draw { error, predicted });
             }
         }
         (control.progress)(k + 1);
     }
     let rows = errors.iter().zip(truth);
-    let all: Vec<RowError> = errors.iter().flatten().copied().collect();
+    let all: Vec<Draw> = errors.iter().flatten().copied().collect();
     let mean = |sum: f64| (!all.is_empty()).then(|| sum / all.len() as f64);
     let squares = all.iter().map(|e| (e.error / e.predicted).powi(2));
     let summary = MonteCarlo {
@@ -121,7 +121,7 @@ fn ideal_peaks(scene: &mut Scene, frame: u32) -> Result<(Vec<Option<Peak>>, Cali
 
 /// `None` with fewer than two seeds.
 fn of_column(
-    errors: &[RowError],
+    errors: &[Draw],
     truth: &Peak,
     calibration: &Calibration,
 ) -> Option<ColumnUncertainty> {

@@ -104,8 +104,8 @@ impl Cuts {
         }
     }
 
-    /// Of each peak, in the order of columns; `variances` are those of the light of lines by
-    /// speckle, relative.
+    /// Of each peak, in the order of columns; `sigmas` are the widths of its line, px, and
+    /// `variances` those of the light of such lines by speckle, relative.
     ///
     /// A hidden Markov chain of two states, whole and cut, along the columns (Rabiner 1989,
     /// forward and backward). A column's evidence is its light and its width over what is
@@ -115,6 +115,7 @@ impl Cuts {
         &self,
         peaks: &[Peak],
         expected: &[Option<Expected>],
+        sigmas: &[f64],
         variances: &[f64],
     ) -> Vec<Cut> {
         let mut widths = Widths::default();
@@ -130,8 +131,7 @@ impl Cuts {
         // Chances that a whole line is cut in the next column, and a cut one whole.
         let step = |i: usize| {
             let cut = if ends(i) || ends(i + 1) { 0.5 } else { EDGES };
-            let sigma = expected[i].map_or(peaks[i].sigma, |e| e.sigma);
-            (cut, columns_cut(sigma).recip())
+            (cut, columns_cut(sigmas[i]).recip())
         };
         let normal = |[whole, cut]: [f64; 2]| [whole / (whole + cut), cut / (whole + cut)];
         let mut chances = vec![[1.0; 2]; peaks.len()];
@@ -259,7 +259,8 @@ mod tests {
             alone: false,
         };
         let variances = vec![VARIANCE; left.len()];
-        Cuts::new(0.3).find(&peaks, &vec![Some(whole); left.len()], &variances)
+        let sigmas = vec![whole.sigma; left.len()];
+        Cuts::new(0.3).find(&peaks, &vec![Some(whole); left.len()], &sigmas, &variances)
     }
 
     /// By tables, beyond 1.5 σ lie 0.0668 of a Gaussian, 1.9388 σ off its middle on average; their
@@ -327,7 +328,12 @@ mod tests {
                 alone: false,
             };
             // All columns independent: the mean of five has a fifth of one's variance.
-            let cuts = Cuts::new(0.2).find(&peaks, &[Some(whole); 400], &[VARIANCE; 400]);
+            let cuts = Cuts::new(0.2).find(
+                &peaks,
+                &[Some(whole); 400],
+                &[whole.sigma; 400],
+                &[VARIANCE; 400],
+            );
             // The line's ends are as likely cut as not.
             let inner = &cuts[20..380];
             wrong += inner.iter().filter(|cut| cut.chance > 0.5).count();

@@ -148,7 +148,7 @@ impl ErrorModel {
         let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
-        let cuts = self.cuts.find(peaks, &expected, &lights);
+        let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
