@@ -49,7 +49,7 @@ fn stages(c: &mut Criterion) {
     group.bench_function("peaks, points, deviation", |b| {
         b.iter(|| simulation.measure(FRAME, &counts))
     });
-    group.bench_function("png", |b| b.iter(|| encode_counts(&counts, columns)));
+    group.bench_function("png", |b| b.iter(|| encode_counts(&counts)));
     group.finish();
     let frame = |view| {
         let start = Instant::now();

@@ -17,9 +17,9 @@ fn finders(c: &mut Criterion) {
     let scene = Scene::load(&path).unwrap();
     let simulation = Simulation::new(&scene).unwrap();
     let counts = simulation.counts(FRAME, &simulation.irradiance(FRAME));
-    let columns = scene.camera.sensor.resolution.x as usize;
+    let columns = counts.columns();
     let default = simulation.peak_settings();
-    let found = find_peaks(&counts, columns, &default).len();
+    let found = find_peaks(&counts, &default).len();
     assert!(found > columns / 2, "{found} peaks");
 
     let mut group = c.benchmark_group("peaks");
@@ -28,7 +28,7 @@ fn finders(c: &mut Criterion) {
         let settings = PeakSettings { finder, ..default };
         group.bench_function(format!("{finder:?}"), |b| {
             // Which lines there are is decided before any finder places them.
-            b.iter(|| assert_eq!(find_peaks(&counts, columns, &settings).len(), found))
+            b.iter(|| assert_eq!(find_peaks(&counts, &settings).len(), found))
         });
     }
     group.finish();

@@ -4,6 +4,7 @@
 mod program;
 
 use glam::UVec2;
+use lasertrace::camera::Counts;
 use lasertrace::camera::{CameraModel, Distortion};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh};
@@ -187,7 +188,7 @@ fn row(counts: &[u16], finder: PeakFinder) -> Option<f64> {
         finder,
         ..PeakSettings::new(u16::MAX)
     };
-    let peaks = find_peaks(counts, 1, &settings);
+    let peaks = find_peaks(&Counts::of_rows(counts, 1), &settings);
     peaks.first().map(|peak| peak.row)
 }
 

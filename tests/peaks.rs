@@ -1,5 +1,6 @@
 //! The finders of the laser line, on lines whose place is known.
 
+use lasertrace::camera::Counts;
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::profile::{
     Choice, FALSE_PEAKS_PER_FRAME, Flags, Peak, PeakFinder, PeakSettings, find_peaks,
@@ -34,15 +35,15 @@ fn expected(lines: &[Line]) -> Vec<f64> {
 }
 
 /// An image whose columns are these, rounded and cut at `max_count`.
-fn image(columns: &[Vec<f64>], max_count: u16) -> Vec<u16> {
+fn image(columns: &[Vec<f64>], max_count: u16) -> Counts {
     let count = |c: f64| c.round().clamp(0.0, max_count as f64) as u16;
     let pixels = (0..ROWS).flat_map(|row| columns.iter().map(move |column| count(column[row])));
-    pixels.collect()
+    Counts::of_rows(&pixels.collect::<Vec<_>>(), columns.len())
 }
 
 /// The only peaks of an image of one line a column.
 fn find(columns: &[Vec<f64>], settings: &PeakSettings) -> Vec<Peak> {
-    find_peaks(&image(columns, settings.max_count), columns.len(), settings)
+    find_peaks(&image(columns, settings.max_count), settings)
 }
 
 /// Greatest |bias| over widths and phases, and of the width.
@@ -301,14 +302,15 @@ fn odd_images_give_finite_peaks_or_none() {
         (1, (0..50).map(|i| i * 20).collect()),
     ];
     for (columns, counts) in images {
+        let image = Counts::of_rows(&counts, columns);
         for finder in PeakFinder::ALL {
             for choice in [Choice::Strongest, Choice::First, Choice::Last] {
                 let settings = PeakSettings {
                     choice,
                     ..settings(finder)
                 };
-                let rows = (counts.len() / columns) as f64;
-                for peak in find_peaks(&counts, columns, &settings) {
+                let rows = image.rows() as f64;
+                for peak in find_peaks(&image, &settings) {
                     let numbers = [peak.row, peak.intensity, peak.height, peak.sigma];
                     assert!(numbers.iter().all(|x| x.is_finite()), "{peak:?}");
                     assert!((0.0..=rows).contains(&peak.row), "{finder:?} {peak:?}");
@@ -316,14 +318,15 @@ fn odd_images_give_finite_peaks_or_none() {
             }
         }
     }
-    assert!(find_peaks(&[7; 50], 1, &settings(PeakFinder::Centroid)).is_empty());
+    assert!(find_peaks(&Counts::filled(1, 50, 7), &settings(PeakFinder::Centroid)).is_empty());
 }
 
 #[test]
 fn images_are_read_column_by_column() {
     let mut counts = vec![0u16; 70 * 40];
     counts[70 * 20 + 66] = 500;
-    let peaks = find_peaks(&counts, 70, &settings(PeakFinder::Centroid));
+    let image = Counts::of_rows(&counts, 70);
+    let peaks = find_peaks(&image, &settings(PeakFinder::Centroid));
     assert_eq!(peaks.len(), 1);
     assert_eq!(peaks[0].column, 66);
     assert!((peaks[0].row - 20.5).abs() < 1e-9);

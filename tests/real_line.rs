@@ -22,11 +22,11 @@ fn file(name: &str) -> Option<PathBuf> {
 /// Row of the authors' line in each column, the mean of its pixels.
 fn authors_line(path: &Path) -> Vec<(u32, f64)> {
     let line = read_image(path, LineAlong::Columns).unwrap();
-    let rows = line.counts.len() / line.columns;
-    (0..line.columns)
+    (0..line.counts.columns())
         .filter_map(|column| {
-            let lit = (0..rows).filter(|row| line.counts[row * line.columns + column] > 127);
-            let lit: Vec<f64> = lit.map(|row| row as f64 + 0.5).collect();
+            let counts = line.counts.column(column).iter().enumerate();
+            let lit = counts.filter(|&(_, &count)| count > 127);
+            let lit: Vec<f64> = lit.map(|(row, _)| row as f64 + 0.5).collect();
             let mean = lit.iter().sum::<f64>() / lit.len() as f64;
             (!lit.is_empty()).then_some((column as u32, mean))
         })

@@ -10,6 +10,7 @@ mod rays;
 
 use glam::DVec2;
 use lasertrace::batch::Simulation;
+use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::profile::{Flags, Peak, PeakSettings, find_peaks};
 use lasertrace::scene::Scene;
@@ -116,7 +117,10 @@ fn synthetic(row: f64, height: f64, second: f64) -> (Option<Peak>, f64) {
         (height * shape + 8.0).round().min(FULL_SCALE) as u16
     };
     let counts: Vec<u16> = (0..400).map(count).collect();
-    let peaks = find_peaks(&counts, 1, &PeakSettings::new(FULL_SCALE as u16));
+    let peaks = find_peaks(
+        &Counts::of_rows(&counts, 1),
+        &PeakSettings::new(FULL_SCALE as u16),
+    );
     let truth = row + second / (1.0 + second) * 2.0 * SIGMA;
     (peaks.first().copied(), truth)
 }

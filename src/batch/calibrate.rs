@@ -231,7 +231,7 @@ fn line(scene: &Scene, target: &Rigid) -> Result<Vec<LinePoint>> {
     let simulation = Simulation::new(scene)?;
     let counts = simulation.counts(0, &simulation.irradiance(0));
     let resolution = scene.camera.sensor.resolution;
-    let mut peaks = find_peaks(&counts, resolution.x as usize, &simulation.peak_settings());
+    let mut peaks = find_peaks(&counts, &simulation.peak_settings());
     let plan = &simulation.plan;
     // Grains are independent from the first zero of their correlation on, 1.22 h,
     // and a pixel further as pixels have a width.

@@ -38,20 +38,18 @@ impl Run<'_> {
         self.control.check()?;
         let simulation = self.simulation;
         let (counts, (peaks, points)) = match self.geometry_only {
-            true => (Vec::new(), simulation.geometric(frame)),
+            true => (None, simulation.geometric(frame)),
             false => {
                 let counts = simulation.counts(frame, &simulation.irradiance(frame));
                 let measured = simulation.measure(frame, &counts);
-                (counts, measured)
+                (Some(counts), measured)
             }
         };
-        let columns = simulation.scene.camera.sensor.resolution.x;
+        let image = counts.filter(|_| simulation.scene.write_frames);
+        let contents = [profile_csv(&peaks, &points)].into_iter();
+        let contents = contents.chain(image.as_ref().map(encode_counts));
         let mut files = Vec::new();
-        for (i, name) in self.names(frame).iter().enumerate() {
-            let bytes = match i {
-                0 => profile_csv(&peaks, &points),
-                _ => encode_counts(&counts, columns as usize),
-            };
+        for (name, bytes) in self.names(frame).iter().zip(contents) {
             files.push(checksum(&bytes));
             files::write_checked_later(name, &bytes)?;
         }

@@ -1,7 +1,7 @@
 //! From a frame's image, or from geometry alone, to points on the part.
 
 use super::Simulation;
-use crate::camera::Camera;
+use crate::camera::{Camera, Counts};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::integrator::LinePoint;
@@ -30,15 +30,14 @@ impl Simulation<'_> {
     }
 
     /// Lines of an image and how far their rows may be off.
-    pub fn peaks(&self, counts: &[u16]) -> (Vec<Peak>, Vec<RowError>) {
-        let columns = self.scene.camera.sensor.resolution.x as usize;
-        let mut peaks = find_peaks(counts, columns, &self.peak_settings());
-        let errors = self.errors.row_errors(&mut peaks, columns);
+    pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
+        let mut peaks = find_peaks(counts, &self.peak_settings());
+        let errors = self.errors.row_errors(&mut peaks, counts.columns());
         (peaks, errors)
     }
 
     /// The profile in an image and its points on the part.
-    pub fn measure(&self, frame: u32, counts: &[u16]) -> (Vec<Peak>, Vec<CloudPoint>) {
+    pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks(counts);
         let points = self.points(frame, &peaks, &errors);
         (peaks, points)

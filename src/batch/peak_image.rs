@@ -1,6 +1,7 @@
 //! The finders of the laser line on an image of a real sensor.
 
 use super::{Control, files};
+use crate::camera::Counts;
 use crate::error::{Error, InputError, Place, Result};
 use crate::inspect::picture::encode_for_eyes;
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
@@ -21,11 +22,10 @@ pub enum LineAlong {
     Rows,
 }
 
-/// Counts of an image, row by row; transposed where the line runs along rows.
+/// Counts of an image; transposed where the line runs along rows.
 #[derive(Debug)]
 pub struct GreyImage {
-    pub counts: Vec<u16>,
-    pub columns: usize,
+    pub counts: Counts,
     /// Highest count of the format.
     pub max_count: u16,
     line_along: LineAlong,
@@ -82,8 +82,7 @@ pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
         }
     };
     Ok(GreyImage {
-        counts,
-        columns,
+        counts: Counts::of_rows(&counts, columns),
         max_count,
         line_along,
     })
@@ -95,7 +94,7 @@ impl GreyImage {
             finder,
             ..PeakSettings::new(self.max_count)
         };
-        find_peaks(&self.counts, self.columns, &settings)
+        find_peaks(&self.counts, &settings)
     }
 }
 
@@ -114,7 +113,7 @@ pub fn peaks_of_image(
     let summary = ImageSummary {
         image: path.to_owned(),
         line_along,
-        columns: image.columns,
+        columns: image.counts.columns(),
         finders: lines.iter().map(|(f, peaks)| found(*f, peaks)).collect(),
         table: out.join("line.csv"),
         picture: out.join("line.svg"),
@@ -155,8 +154,8 @@ const COLORS: [&str; 4] = ["#ff5040", "#40a0ff", "#30d060", "#ffc000"];
 
 /// The image for people as it was, and above it each finder's points.
 fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
-    let (columns, rows) = (image.columns, image.counts.len() / image.columns);
-    let png = encode_for_eyes(&image.counts, columns, image.max_count);
+    let (columns, rows) = (image.counts.columns(), image.counts.rows());
+    let png = encode_for_eyes(&image.counts.to_rows(), columns, image.max_count);
     let base64 = base64::engine::general_purpose::STANDARD.encode(png);
     let (width, height, turn) = match image.line_along {
         LineAlong::Columns => (columns, rows, "1 0 0 1 0 0"),

@@ -205,10 +205,9 @@ fn spread(
         finder,
         ..PeakSettings::new(MAX_COUNT)
     };
-    let columns = PHASES * trials;
-    let image = condition.image(columns, lookup, seed);
+    let image = condition.image(PHASES * trials, lookup, seed);
     let mut by_phase = vec![Vec::new(); PHASES];
-    for peak in find_peaks(&image, columns, &settings) {
+    for peak in find_peaks(&image, &settings) {
         let column = peak.column as usize;
         by_phase[column % PHASES].push(peak.row - condition.truth(column));
     }
@@ -233,7 +232,7 @@ fn spread(
     Some(FinderError {
         bias_px: if is_chance { 0.0 } else { excess.sqrt() },
         noise_px: variances.sqrt(),
-        found: found / columns as f64,
+        found: found / image.columns() as f64,
     })
 }
 

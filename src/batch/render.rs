@@ -35,12 +35,13 @@ pub fn render(
     control.check()?;
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);
+    let all = counts.by_column();
     let truth = truth_layers(&simulation.view(frame));
     control.check()?;
     let resolution = scene.camera.sensor.resolution;
     let png = out.join(format!("frame-{frame:06}.png"));
     let exr_path = png.with_extension("exr");
-    files::write_bytes(&png, &encode_counts(&counts, resolution.x as usize))?;
+    files::write_bytes(&png, &encode_counts(&counts))?;
     let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
     let mut channels = vec![
         ("irradiance", FlatSamples::F32(irradiance.dense())),
@@ -63,7 +64,7 @@ pub fn render(
         accel: scene.accel.version(),
         png,
         exr: exr_path,
-        max_count: counts.iter().copied().max().unwrap_or(0),
-        mean_count: counts.iter().map(|&c| c as f64).sum::<f64>() / counts.len() as f64,
+        max_count: all.iter().copied().max().unwrap_or(0),
+        mean_count: all.iter().map(|&c| c as f64).sum::<f64>() / all.len() as f64,
     })
 }

@@ -5,7 +5,7 @@ use super::measure::error_model;
 use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
 use crate::accel::{Accel, Clusters};
-use crate::camera::{DARK_GROUP, DarkCounts, Sensor};
+use crate::camera::{Counts, DARK_GROUP, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
@@ -168,18 +168,19 @@ impl<'s> Simulation<'s> {
     }
 
     /// What the sensor makes of the light.
-    pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Vec<u16> {
+    pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         let sensor = &self.sensor;
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
-        let pixel = |i: usize| key.with(i as u64);
-        let columns = irradiance.columns();
+        let (columns, rows) = (irradiance.columns(), irradiance.rows());
+        let pixel = |column: usize, row: usize| key.with((row * columns + column) as u64);
         // Dark counts that differ are drawn over it.
         let level = self
             .dark
             .as_ref()
             .map_or_else(|| sensor.count(0.0, key), |_| 0);
-        let mut counts = vec![level; columns * irradiance.rows()];
+        let mut image = Counts::filled(columns, rows, level);
+        let counts = image.by_column_mut();
         if let Some(dark) = &self.dark {
             let dark_key = key.with(DARK);
             let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP).enumerate();
@@ -187,18 +188,19 @@ impl<'s> Simulation<'s> {
                 let groups = counts.chunks_mut(DARK_GROUP);
                 for (group, counts) in (task * DARK_GROUPS..).zip(groups) {
                     let first = group * DARK_GROUP;
-                    dark.draw(counts, dark_key.bits(group as u64), |k| pixel(first + k));
+                    dark.draw(counts, dark_key.bits(group as u64), |k| {
+                        pixel((first + k) / rows, (first + k) % rows)
+                    });
                 }
             });
         }
-        let rows = counts.par_chunks_mut(columns).enumerate();
-        rows.for_each(|(row, counts)| {
+        for row in 0..rows {
             for (column, e) in irradiance.row(row).filter(|&(_, e)| e != 0.0) {
-                let key = pixel(row * columns + column);
-                counts[column] = sensor.count(e as f64 * electrons, key);
+                let count = sensor.count(e as f64 * electrons, pixel(column, row));
+                counts[column * rows + row] = count;
             }
-        });
-        counts
+        }
+        image
     }
 }
 

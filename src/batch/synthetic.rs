@@ -1,5 +1,6 @@
 //! Images of a laser line whose place is known, for trying finders on.
 
+use crate::camera::Counts;
 use crate::math::rng::{Key, Purpose};
 use crate::speckle::coordinate::Coordinate;
 use crate::speckle::lookup::Lookup;
@@ -64,9 +65,9 @@ impl Condition {
         grain.max((4.0 / self.sigma).ceil()).clamp(4.0, 16.0) as usize
     }
 
-    /// Row-by-row counts of `columns` lines, cut at [`MAX_COUNT`]. Column c of all
+    /// Counts of `columns` lines, cut at [`MAX_COUNT`]. Column c of all
     /// images with the same seed has the same noise.
-    pub fn image(&self, columns: usize, lookup: &Lookup, seed: u64) -> Vec<u16> {
+    pub fn image(&self, columns: usize, lookup: &Lookup, seed: u64) -> Counts {
         let rows = self.rows();
         let n = self.samples();
         let area = self.height * self.sigma * (2.0 * PI).sqrt();
@@ -80,11 +81,12 @@ impl Condition {
             .collect();
         let normal = Normal::new(0.0, self.noise).expect("a finite width");
         let key = Key::new(seed, Purpose::SensorNoise);
-        let mut counts = vec![0; rows * columns];
-        for column in 0..columns {
+        let mut counts = Counts::filled(columns, rows, 0);
+        let by_column = counts.by_column_mut().chunks_exact_mut(rows).enumerate();
+        for (column, counts) in by_column {
             let light = &light[column % PHASES * rows * n..][..rows * n];
             let mut stream = key.with(column as u64).stream();
-            for row in 0..rows {
+            for (row, count) in counts.iter_mut().enumerate() {
                 let sum: f64 = (0..n)
                     .map(|i| {
                         let light = light[row * n + i];
@@ -94,8 +96,8 @@ impl Condition {
                         }
                     })
                     .sum();
-                let count = BLACK + sum + normal.sample(&mut stream);
-                counts[row * columns + column] = count.round().clamp(0.0, MAX_COUNT as f64) as u16;
+                let value = BLACK + sum + normal.sample(&mut stream);
+                *count = value.round().clamp(0.0, MAX_COUNT as f64) as u16;
             }
         }
         counts

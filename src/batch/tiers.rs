@@ -46,13 +46,12 @@ impl Tier<'_> {
         }
         let irradiance = self.simulation.irradiance(frame);
         let counts = self.simulation.counts(frame, &irradiance);
-        let columns = self.simulation.scene.camera.sensor.resolution.x as usize;
         let settings = PeakSettings {
             finder: self.finder,
             ..self.simulation.peak_settings()
         };
         TierFrame {
-            peaks: find_peaks(&counts, columns, &settings),
+            peaks: find_peaks(&counts, &settings),
             pixels: irradiance.looked_at(),
         }
     }

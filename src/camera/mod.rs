@@ -6,12 +6,14 @@
 //! drawn in front of the lens, where its image is upright. Pixel (i, j) covers
 //! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
 
+mod counts;
 mod dark;
 mod distortion;
 mod lens;
 mod model;
 mod sensor;
 
+pub use counts::Counts;
 pub use dark::{DarkCounts, GROUP as DARK_GROUP};
 pub use distortion::Distortion;
 pub use lens::{Aperture, Lens};

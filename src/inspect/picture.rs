@@ -1,6 +1,7 @@
 //! Pictures for the report: sensor frames, and the cloud over the shaded part.
 
 use crate::accel::{Accel, Ray, WIDTH};
+use crate::camera::Counts;
 use crate::math::{Aabb, DVec3};
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;
@@ -13,19 +14,16 @@ fn encode(samples: &[u8], width: usize, height: usize, color: ExtendedColorType)
     png
 }
 
-/// PNG of 16-bit sensor counts as they are, row by row.
-pub fn encode_counts(counts: &[u16], width: usize) -> Vec<u8> {
+/// PNG of 16-bit sensor counts as they are.
+pub fn encode_counts(counts: &Counts) -> Vec<u8> {
     // The encoder takes native-endian samples and swaps them itself.
-    let samples: Vec<u8> = counts.iter().flat_map(|c| c.to_ne_bytes()).collect();
-    encode(
-        &samples,
-        width,
-        counts.len() / width,
-        ExtendedColorType::L16,
-    )
+    let samples = counts.to_rows();
+    let samples: Vec<u8> = samples.iter().flat_map(|c| c.to_ne_bytes()).collect();
+    let (width, height) = (counts.columns(), counts.rows());
+    encode(&samples, width, height, ExtendedColorType::L16)
 }
 
-/// PNG of counts for people: 8 bits, gamma 2.2, so that faint light shows.
+/// PNG of counts, row by row, for people: 8 bits, gamma 2.2, so that faint light shows.
 pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> {
     let samples: Vec<u8> = counts
         .iter()

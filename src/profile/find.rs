@@ -5,8 +5,7 @@ use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturate
 use super::neighbourhood::Neighbourhood;
 use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
 use super::{Choice, Flags, Peak, PeakSettings};
-use std::cell::Cell;
-use wide::u16x8;
+use crate::camera::Counts;
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
@@ -27,9 +26,6 @@ pub const NARROW_RATIO: f64 = 0.4;
 /// Share by which a line's width may differ from that of its window.
 const WIDTH_TOLERANCE: f64 = 0.1;
 
-/// Columns that are gathered at once: so much of a row is fetched ahead, and what is
-/// gathered stays near until it is looked at.
-const STRIP: usize = 512;
 /// Pixels of a column of which the highest is kept.
 const BLOCK: usize = 32;
 
@@ -58,38 +54,30 @@ struct Found<'a> {
     located: (Located, f64),
 }
 
-/// The line of each column of a row-by-row image, in the order of columns; columns
-/// without one are left out. A line is what stands out from its column's own noise
-/// so far that noise alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's
-/// columns.
-pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Vec<Peak> {
-    let rows = counts.len() / columns;
-    let z = detection_sigmas(counts.len());
+/// The line of each column of an image, in the order of columns; columns without one
+/// are left out. A line is what stands out from its column's own noise so far that noise
+/// alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's columns.
+pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
+    let (columns, rows) = (image.columns(), image.rows());
+    let z = detection_sigmas(columns * rows);
     let mut histogram = Histogram::default();
-    let mut by_column = BY_COLUMN.take();
-    by_column.resize(counts.len(), 0);
-    let mut found: Vec<Option<Column>> = Vec::with_capacity(columns);
     let blocks = rows.div_ceil(BLOCK);
     let mut tops = Vec::with_capacity(columns * blocks);
-    for (i, strip) in by_column.chunks_mut(STRIP * rows).enumerate() {
-        transpose(counts, columns, STRIP * i, strip);
-        found.extend(strip.chunks_exact(rows).map(|pixels| {
-            let first = tops.len();
-            tops.extend(tops_of(pixels));
-            let column = Pixels {
-                counts: pixels,
-                tops: &tops[first..],
-            };
-            detect(&column, z, &mut histogram)
-        }));
-    }
+    let detected = (0..columns).map(|column| {
+        let counts = image.column(column);
+        let first = tops.len();
+        tops.extend(tops_of(counts));
+        let tops = &tops[first..];
+        detect(&Pixels { counts, tops }, z, &mut histogram)
+    });
+    let found: Vec<Option<Column>> = detected.collect();
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
     let mut lines = Vec::with_capacity(columns);
-    let pixels = by_column.chunks_exact(rows).zip(tops.chunks_exact(blocks));
-    for (number, ((counts, tops), found)) in pixels.zip(&found).enumerate() {
+    for (number, (tops, found)) in tops.chunks_exact(blocks).zip(&found).enumerate() {
         let Some(found) = found else { continue };
+        let counts = image.column(number);
         let (line, double) = chosen(&Pixels { counts, tops }, found, width, settings);
         if let Some(located) = locate(&line, settings.finder) {
             lines.push(Found {
@@ -122,7 +110,6 @@ pub fn find_peaks(counts: &[u16], columns: usize, settings: &PeakSettings) -> Ve
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
     compare_neighbours(&mut peaks, columns, settings.expected_sigma);
-    BY_COLUMN.set(by_column);
     peaks
 }
 
@@ -149,47 +136,6 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
         };
         if let Some(again) = locate(&other, settings.finder) {
             (found.line, found.located) = (other, again);
-        }
-    }
-}
-
-/// Rows and columns that are turned together.
-const TILE: usize = 8;
-
-thread_local! {
-    /// The image of the last frame column by column: that of the next takes its place,
-    /// for fresh memory costs as much as to fill it.
-    static BY_COLUMN: Cell<Vec<u16>> = const { Cell::new(Vec::new()) };
-}
-
-/// The columns of an image from `first` on that fill `by_column`, one after the other.
-fn transpose(counts: &[u16], columns: usize, first: usize, by_column: &mut [u16]) {
-    let rows = counts.len() / columns;
-    let end = first + by_column.len() / rows;
-    let turn = |band: &[u16], first: usize, width: usize| {
-        let mut tile = [u16x8::ZERO; TILE];
-        for (lanes, row) in tile.iter_mut().zip(band.chunks_exact(columns)) {
-            lanes.as_mut_array()[..width].copy_from_slice(&row[first..first + width]);
-        }
-        u16x8::transpose(tile)
-    };
-    for (i, band) in counts.chunks(columns * TILE).enumerate() {
-        let height = band.len() / columns;
-        for from in (first..end).step_by(TILE) {
-            let width = TILE.min(end - from);
-            // With the width known the rows are copied as vectors.
-            let turned = match width {
-                TILE => turn(band, from, TILE),
-                _ => turn(band, from, width),
-            };
-            for (column, lanes) in (from - first..from - first + width).zip(turned) {
-                let to = &mut by_column[column * rows + i * TILE..];
-                // Of a known length this is one instruction.
-                match to.first_chunk_mut() {
-                    Some(to) if height == TILE => *to = lanes.to_array(),
-                    _ => to[..height].copy_from_slice(&lanes.as_array()[..height]),
-                }
-            }
         }
     }
 }

@@ -59,7 +59,7 @@ impl Shown<'_> {
         SampleFrame {
             number: frame,
             why,
-            png: encode_for_eyes(&counts, sensor.resolution.x as usize, sensor.max_count()),
+            png: encode_for_eyes(&counts.to_rows(), counts.columns(), sensor.max_count()),
             width: sensor.resolution.x,
             height: sensor.resolution.y,
             line: peaks

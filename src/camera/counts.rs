@@ -1,0 +1,111 @@
+//! An image as the sensor gives it.
+
+use wide::u16x8;
+
+/// Counts of a sensor's pixels, kept column after column: lines are looked for in columns.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Counts {
+    rows: usize,
+    by_column: Vec<u16>,
+}
+
+impl Counts {
+    /// The same count all over, at least one column and row.
+    pub fn filled(columns: usize, rows: usize, count: u16) -> Counts {
+        assert!(columns > 0 && rows > 0, "an image has pixels");
+        Counts {
+            rows,
+            by_column: vec![count; columns * rows],
+        }
+    }
+
+    /// From counts row by row, as files have them.
+    pub fn of_rows(counts: &[u16], columns: usize) -> Counts {
+        Counts {
+            rows: counts.len() / columns,
+            by_column: transposed(counts, columns),
+        }
+    }
+
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    pub fn columns(&self) -> usize {
+        self.by_column.len() / self.rows
+    }
+
+    /// Its counts from the first row on.
+    pub fn column(&self, column: usize) -> &[u16] {
+        &self.by_column[column * self.rows..][..self.rows]
+    }
+
+    /// Counts row by row.
+    pub fn to_rows(&self) -> Vec<u16> {
+        transposed(&self.by_column, self.rows)
+    }
+
+    /// All columns, one after the other.
+    pub fn by_column(&self) -> &[u16] {
+        &self.by_column
+    }
+
+    /// See [`Self::by_column`].
+    pub fn by_column_mut(&mut self) -> &mut [u16] {
+        &mut self.by_column
+    }
+}
+
+/// Rows and columns that are turned together.
+const TILE: usize = 8;
+
+/// Column by column what is given row by row.
+fn transposed(counts: &[u16], columns: usize) -> Vec<u16> {
+    let rows = counts.len() / columns;
+    let mut by_column = vec![0; counts.len()];
+    let turn = |band: &[u16], first: usize, width: usize| {
+        let mut tile = [u16x8::ZERO; TILE];
+        for (lanes, row) in tile.iter_mut().zip(band.chunks_exact(columns)) {
+            lanes.as_mut_array()[..width].copy_from_slice(&row[first..first + width]);
+        }
+        u16x8::transpose(tile)
+    };
+    for (i, band) in counts.chunks(columns * TILE).enumerate() {
+        let height = band.len() / columns;
+        for first in (0..columns).step_by(TILE) {
+            let width = TILE.min(columns - first);
+            // With the width known the rows are copied as vectors.
+            let turned = match width {
+                TILE => turn(band, first, TILE),
+                _ => turn(band, first, width),
+            };
+            for (column, lanes) in (first..first + width).zip(turned) {
+                let to = &mut by_column[column * rows + i * TILE..][..height];
+                to.copy_from_slice(&lanes.as_array()[..height]);
+            }
+        }
+    }
+    by_column
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whole tiles, and what is left beside and below them.
+    #[test]
+    fn columns_are_those_of_the_rows_and_turn_back_into_them() {
+        for (columns, rows) in [(1, 1), (1, 9), (8, 8), (17, 5), (9, 24), (64, 31)] {
+            let counts: Vec<u16> = (0..columns * rows).map(|i| i as u16).collect();
+            let image = Counts::of_rows(&counts, columns);
+            assert_eq!((image.columns(), image.rows()), (columns, rows));
+            for column in 0..columns {
+                let expected: Vec<u16> = (0..rows)
+                    .map(|row| (row * columns + column) as u16)
+                    .collect();
+                assert_eq!(image.column(column), expected);
+            }
+            assert_eq!(image.to_rows(), counts);
+        }
+    }
+}
