@@ -1,4 +1,5 @@
 #include "embree.h"
+#include <string.h>
 
 uint32_t lt_header_version(void) { return RTC_VERSION; }
 
@@ -65,23 +66,82 @@ void lt_scene_commit(RTCScene scene) {
 
 void lt_scene_release(RTCScene scene) { rtcReleaseScene(scene); }
 
+uint32_t lt_packet_width(RTCDevice device) {
+  bool halves = !rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED) &&
+                rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_NATIVE_RAY8_SUPPORTED);
+  return halves ? 8 : 16;
+}
+
 #if RTC_VERSION_MAJOR >= 4
 
-void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
-                    struct RTCRayHit16 *rays) {
-  struct RTCIntersectArguments arguments;
-  rtcInitIntersectArguments(&arguments);
-  if (coherent) arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
-  rtcIntersect16(valid, scene, rays, &arguments);
+#define ARGUMENTS(kind, coherent)                                                    \
+  struct RTC##kind##Arguments arguments;                                             \
+  rtcInit##kind##Arguments(&arguments);                                              \
+  if (coherent) arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT
+#define INTERSECT(n, valid, rays) rtcIntersect##n(valid, scene, rays, &arguments)
+#define OCCLUDED(n, valid, rays) rtcOccluded##n(valid, scene, rays, &arguments)
+
+#else
+
+#define ARGUMENTS(kind, coherent)                                                    \
+  struct RTCIntersectContext arguments;                                              \
+  rtcInitIntersectContext(&arguments);                                               \
+  if (coherent) arguments.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT
+#define INTERSECT(n, valid, rays) rtcIntersect##n(valid, scene, &arguments, rays)
+#define OCCLUDED(n, valid, rays) rtcOccluded##n(valid, scene, &arguments, rays)
+
+#endif
+
+/* Where 16 rays are more than a machine's vectors hold, Embree copies them into packets
+ * of 8 one by one; done here it takes less. */
+#define TAKE(field) memcpy(half.field, rays->field + first, sizeof half.field)
+#define GIVE(field) memcpy(rays->field + first, half.field, sizeof half.field)
+#define TAKE_RAYS(r)                                                                 \
+  TAKE(r org_x), TAKE(r org_y), TAKE(r org_z), TAKE(r tnear), TAKE(r dir_x),         \
+      TAKE(r dir_y), TAKE(r dir_z), TAKE(r time), TAKE(r tfar), TAKE(r mask),        \
+      TAKE(r id), TAKE(r flags)
+
+static bool any_of_eight(const int *valid) {
+  int any = 0;
+  for (int i = 0; i < 8; ++i) any |= valid[i];
+  return any;
 }
 
-void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
-                   struct RTCRay16 *rays) {
-  struct RTCOccludedArguments arguments;
-  rtcInitOccludedArguments(&arguments);
-  if (coherent) arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
-  rtcOccluded16(valid, scene, rays, &arguments);
+void lt_intersect16(RTCScene scene, bool coherent, uint32_t width, const int *valid,
+                    struct RTCRayHit16 *rays) {
+  ARGUMENTS(Intersect, coherent);
+  if (width == 16) {
+    INTERSECT(16, valid, rays);
+    return;
+  }
+  for (int first = 0; first < 16; first += 8) {
+    if (!any_of_eight(valid + first)) continue;
+    struct RTCRayHit8 half;
+    TAKE_RAYS(ray.);
+    TAKE(hit.geomID);
+    INTERSECT(8, valid + first, &half);
+    GIVE(ray.tfar), GIVE(hit.Ng_x), GIVE(hit.Ng_y), GIVE(hit.Ng_z), GIVE(hit.u);
+    GIVE(hit.v), GIVE(hit.primID), GIVE(hit.geomID);
+  }
 }
+
+void lt_occluded16(RTCScene scene, bool coherent, uint32_t width, const int *valid,
+                   struct RTCRay16 *rays) {
+  ARGUMENTS(Occluded, coherent);
+  if (width == 16) {
+    OCCLUDED(16, valid, rays);
+    return;
+  }
+  for (int first = 0; first < 16; first += 8) {
+    if (!any_of_eight(valid + first)) continue;
+    struct RTCRay8 half;
+    TAKE_RAYS();
+    OCCLUDED(8, valid + first, &half);
+    GIVE(tfar);
+  }
+}
+
+#if RTC_VERSION_MAJOR >= 4
 
 void lt_intersect1(RTCScene scene, struct RTCRayHit *ray) {
   rtcIntersect1(scene, ray, NULL);
@@ -93,33 +153,14 @@ void lt_occluded1(RTCScene scene, struct RTCRay *ray) {
 
 #else
 
-static struct RTCIntersectContext context_of(bool coherent) {
-  struct RTCIntersectContext context;
-  rtcInitIntersectContext(&context);
-  if (coherent) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-  return context;
-}
-
-void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
-                    struct RTCRayHit16 *rays) {
-  struct RTCIntersectContext context = context_of(coherent);
-  rtcIntersect16(valid, scene, &context, rays);
-}
-
-void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
-                   struct RTCRay16 *rays) {
-  struct RTCIntersectContext context = context_of(coherent);
-  rtcOccluded16(valid, scene, &context, rays);
-}
-
 void lt_intersect1(RTCScene scene, struct RTCRayHit *ray) {
-  struct RTCIntersectContext context = context_of(false);
-  rtcIntersect1(scene, &context, ray);
+  ARGUMENTS(Intersect, false);
+  rtcIntersect1(scene, &arguments, ray);
 }
 
 void lt_occluded1(RTCScene scene, struct RTCRay *ray) {
-  struct RTCIntersectContext context = context_of(false);
-  rtcOccluded1(scene, &context, ray);
+  ARGUMENTS(Occluded, false);
+  rtcOccluded1(scene, &arguments, ray);
 }
 
 #endif

@@ -50,12 +50,14 @@ void lt_scene_on_progress(RTCScene scene, RTCProgressMonitorFunction function, v
 void lt_scene_commit(RTCScene scene);
 void lt_scene_release(RTCScene scene);
 
-/* 16 rays, closest hit and any hit; `coherent` says that they run side by side.
- * `valid` holds -1 for a ray to be traced and 0 for one to be left out; all
- * pointers are 64-byte aligned. */
-void lt_intersect16(RTCScene scene, bool coherent, const int *valid,
+/* Rays that this machine traces together, 16 or 8. */
+uint32_t lt_packet_width(RTCDevice device);
+/* 16 rays, closest hit and any hit, `width` of them together; `coherent` says that they
+ * run side by side. `valid` holds -1 for a ray to be traced and 0 for one to be left out;
+ * all pointers are 64-byte aligned. */
+void lt_intersect16(RTCScene scene, bool coherent, uint32_t width, const int *valid,
                     struct RTCRayHit16 *rays);
-void lt_occluded16(RTCScene scene, bool coherent, const int *valid,
+void lt_occluded16(RTCScene scene, bool coherent, uint32_t width, const int *valid,
                    struct RTCRay16 *rays);
 /* One ray; 16-byte aligned. */
 void lt_intersect1(RTCScene scene, struct RTCRayHit *ray);

@@ -210,7 +210,7 @@ fn slivers_give_no_far_hits() {
             "slivers {width:e}: {hits} hits, at most {:.1e} of the half size beside",
             worst / half
         );
-        assert!(worst <= accel.overshoot(), "{width}: {worst}");
+        assert!(worst <= accel.resolution(), "{width}: {worst}");
     }
 }
 

@@ -112,17 +112,9 @@ impl<'m> Accel<'m> {
 
     /// A length (mm) that f32 cannot resolve on this mesh: 2⁻²⁰ of the largest
     /// coordinate from its middle, eight roundings of a vertex. Shadow rays start this
-    /// far off their surface.
+    /// far off their surface, and no hit's point is further from its triangle.
     pub fn resolution(&self) -> f64 {
         self.hierarchy.part().resolution()
-    }
-
-    /// No hit's point is further than this from its triangle, mm. f32 may pass a
-    /// ray some 60 roundings (2⁻¹⁸ of the half size) beside a triangle, and on a
-    /// plane seen at an angle θ from edge-on that is 1/sin θ times as far: down to
-    /// 1° nothing is lost, and below only what lies beside an edge.
-    pub fn overshoot(&self) -> f64 {
-        self.hierarchy.part().overshoot()
     }
 
     /// Greatest difference between the distance the backend finds and the one that
@@ -141,9 +133,23 @@ impl<'m> Accel<'m> {
         rays: &[Ray],
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
+        self.closest_some(rays, u16::MAX, wanted)
+    }
+
+    /// The same of some of the rays (as bits); of the others as if they hit nothing. What
+    /// one hits does not depend on which others are asked for.
+    pub fn closest_some(
+        &self,
+        rays: &[Ray],
+        some: u16,
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
         match &self.copies {
-            None => self.hierarchy.closest(rays, wanted),
-            Some(copies) => self.closest_of(copies, rays, wanted),
+            None => self.hierarchy.closest(rays, some, wanted),
+            Some(copies) => {
+                let wanted = |i: usize, t| some >> i & 1 == 1 && wanted(i, t);
+                self.closest_of(copies, rays, wanted)
+            }
         }
     }
 
@@ -170,7 +176,7 @@ impl<'m> Accel<'m> {
                 ray.t_max = ray.t_max.min(met[local.of[k]].t + slack);
             }
             let unwanted = [const { Cell::new(f64::INFINITY) }; WIDTH];
-            let hits = self.hierarchy.closest(local.rays(), |k, t| {
+            let hits = self.hierarchy.closest(local.rays(), u16::MAX, |k, t| {
                 let wanted = wanted(local.of[k], t);
                 if !wanted {
                     unwanted[k].set(t);

@@ -96,7 +96,7 @@ fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64)
             ..*ray
         };
         let mut next = None;
-        tree.closest(&[onward], part, |_, triangle, further, _| {
+        tree.closest(&[onward], 1, part, |_, triangle, further, _| {
             next = Some((triangle, passed + further));
         });
         (triangle, t) = next?;
@@ -123,7 +123,7 @@ fn near(tree: &Tree, part: &PartBox, ray: &Ray, triangle: u32, t: f64) -> Option
         if let Some(t) = sheared.distance(corners)
             && (t <= reach || other == triangle)
             && (t, other) < least
-            && let Some(hit) = refine(ray, other, corners, t, part.tolerance()).hit()
+            && let Some(hit) = refine(ray, other, corners, t, part.final_tolerance()).hit()
         {
             (best, least) = (Some(hit), (t, other));
         }
@@ -144,8 +144,6 @@ fn seek(
     mut found: impl FnMut(usize, Hit),
 ) {
     let aside = part.resolution() / 2.0;
-    let mut tolerance = part.tolerance();
-    tolerance.beside = part.resolution();
     let first = |a: &Hit, b: &Hit| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face));
     for backs in backs.chunks(WIDTH / AROUND) {
         let mut beside = [rays[0]; WIDTH];
@@ -160,12 +158,19 @@ fn seek(
             }
         }
         let mut fronts = [None; WIDTH];
-        tree.closest(&beside[..count], part, |k, triangle, t, side| {
+        tree.closest(&beside[..count], u16::MAX, part, |k, triangle, t, side| {
             let back = &backs[k / AROUND];
             // At a sharp edge f32 may take the back for the nearer.
             if side == Side::Front && t < back.t + part.resolution() {
                 let corners = tree.mesh().triangle(triangle as usize);
-                fronts[k] = refine(&rays[back.ray], triangle, corners, t, tolerance).hit();
+                fronts[k] = refine(
+                    &rays[back.ray],
+                    triangle,
+                    corners,
+                    t,
+                    part.final_tolerance(),
+                )
+                .hit();
             }
         });
         for (back, fronts) in backs.iter().zip(fronts.chunks(AROUND)) {

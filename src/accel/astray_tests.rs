@@ -2,6 +2,7 @@
 
 use super::super::{Accel, Backend};
 use super::*;
+use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use std::path::Path;
@@ -23,7 +24,7 @@ fn raw(mesh: &Mesh, ray: &Ray) -> Option<u32> {
     let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(mesh, &part, 1, &|_| Ok(())).unwrap();
     let mut met = None;
-    tree.closest(&[*ray], &part, |_, triangle, _, _| met = Some(triangle));
+    tree.closest(&[*ray], 1, &part, |_, triangle, _, _| met = Some(triangle));
     met
 }
 
@@ -104,6 +105,39 @@ fn a_ray_that_passes_an_edge_meets_what_is_behind() {
             [Some(290.0), Some(290.0), Some(300.0)]
         );
         assert_eq!(heights(|_, t| t < 292.0), [Some(290.0), Some(290.0), None]);
+    }
+}
+
+/// Rays at the vertices of a sphere and, wound inward, of one of which all are backs: which
+/// others are asked for changes no hit to the bit.
+#[test]
+fn some_rays_of_a_packet_hit_what_they_hit_with_the_others() {
+    let outward = shapes::sphere(10.0, 1e-3).unwrap();
+    let mut inward = outward.clone();
+    inward.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    let key = Key::new(6, Purpose::RaceRays);
+    for mesh in [outward, inward] {
+        let accel = accel(Backend::Embree, &mesh);
+        let eye = DVec3::new(3.0, -60.0, 20.0);
+        let rays: Vec<Ray> = (mesh.positions.iter())
+            .map(|&p| Ray {
+                t_max: f64::INFINITY,
+                ..Ray::between(eye, p).unwrap()
+            })
+            .collect();
+        let mut met = 0;
+        for (i, packet) in rays.chunks(WIDTH).enumerate() {
+            let all = accel.closest(packet, |_, _| true);
+            met += all.iter().flatten().count();
+            for k in 0..4 {
+                let some = key.with(i as u64).bits(k) as u16 & [u16::MAX, 0xff][k as usize / 2];
+                let found = accel.closest_some(packet, some, |_, _| true);
+                let expected = (0..WIDTH).map(|i| all[i].filter(|_| some >> i & 1 == 1));
+                assert!(found.iter().copied().eq(expected), "{some:016b}");
+            }
+        }
+        // Those at the outline may miss.
+        assert!(met > rays.len() * 9 / 10, "{met} of {}", rays.len());
     }
 }
 

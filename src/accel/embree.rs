@@ -17,7 +17,7 @@ use std::sync::Mutex;
 pub struct Tree<'m> {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
-    device: Device,
+    pub(super) device: Device,
     /// The scene refers to its triangles, or to the quads if there are any.
     mesh: &'m Mesh,
     quads: Option<Quads>,
@@ -145,7 +145,20 @@ impl<'m> Tree<'m> {
         stopped.map_or_else(|| self.device.check(), Err)
     }
 
-    fn pack(rays: &[Ray], part: &PartBox) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
+    /// Rays that are traced together: which others there are has a say in which of two
+    /// triangles at the same distance is met.
+    pub(super) fn together(&self) -> usize {
+        self.device.packet as usize
+    }
+
+    /// Of 16 rays, as bits, those that are traced with some.
+    fn beside(&self, some: u16) -> u16 {
+        let packets = (0..WIDTH).step_by(self.together());
+        let packets = packets.map(|first| u16::MAX >> (WIDTH - self.together()) << first);
+        packets.filter(|bits| bits & some != 0).sum()
+    }
+
+    fn pack(rays: &[Ray], some: u16, part: &PartBox) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
         assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
         let mut valid = Valid([0; WIDTH]);
         let mut advanced = [0.0; WIDTH];
@@ -163,11 +176,21 @@ impl<'m> Tree<'m> {
             id: [0; WIDTH],
             flags: [0; WIDTH],
         };
+        let together = part.approach(rays);
         for (i, ray) in rays.iter().enumerate() {
-            let Some(inside) = part.inside(ray) else {
+            if some >> i & 1 == 0 {
                 continue;
+            }
+            // Which of the rays that are advanced together miss the box the hierarchy
+            // finds out for less.
+            let inside = match together {
+                Some(distance) => part.advanced(ray, distance, ray.t_max),
+                None => match part.inside(ray) {
+                    Some(inside) => inside,
+                    None => continue,
+                },
             };
-            valid.0[i] = -1;
+            valid.0[i] = -i32::from(inside.length >= 0.0);
             advanced[i] = inside.advanced;
             let direction = ray.direction.as_vec3();
             (packet.org_x[i], packet.org_y[i], packet.org_z[i]) = inside.origin.into();
@@ -182,14 +205,16 @@ impl<'m> Tree<'m> {
     }
 
     /// Calls `found` for each ray that meets the mesh, with its number, the triangle,
-    /// the distance (mm), and whether it comes to the triangle's front or back.
+    /// the distance (mm), and whether it comes to the triangle's front or back: those
+    /// that are traced together with some (as bits).
     pub(super) fn closest(
         &self,
         rays: &[Ray],
+        some: u16,
         part: &PartBox,
         mut found: impl FnMut(usize, u32, f64, Side),
     ) {
-        let (valid, ray, advanced) = Tree::pack(rays, part);
+        let (valid, ray, advanced) = Tree::pack(rays, self.beside(some), part);
         let mut packet = ffi::RTCRayHit16 {
             ray,
             // SAFETY: RTCHit16 is floats and integers, for which all-zero bytes
@@ -199,7 +224,15 @@ impl<'m> Tree<'m> {
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
-        unsafe { ffi::lt_intersect16(self.scene, true, valid.0.as_ptr(), &mut packet) };
+        unsafe {
+            ffi::lt_intersect16(
+                self.scene,
+                true,
+                self.device.packet,
+                valid.0.as_ptr(),
+                &mut packet,
+            )
+        };
         for (i, advanced) in advanced.iter().enumerate().take(rays.len()) {
             let hit = &packet.hit;
             if hit.geomID[i] != ffi::LT_NO_GEOMETRY {
@@ -219,9 +252,17 @@ impl<'m> Tree<'m> {
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.
     pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
-        let (valid, mut packet, _) = Tree::pack(rays, part);
+        let (valid, mut packet, _) = Tree::pack(rays, u16::MAX, part);
         // SAFETY: as in `closest`.
-        unsafe { ffi::lt_occluded16(self.scene, true, valid.0.as_ptr(), &mut packet) };
+        unsafe {
+            ffi::lt_occluded16(
+                self.scene,
+                true,
+                self.device.packet,
+                valid.0.as_ptr(),
+                &mut packet,
+            )
+        };
         // Embree sets tfar to -∞ on a hit; lanes left out still hold -1.
         (0..WIDTH)
             .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)

@@ -51,6 +51,8 @@ unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: 
 
 pub(super) struct Device {
     pub(super) handle: ffi::RTCDevice,
+    /// Rays that are traced together.
+    pub(super) packet: u32,
     error: Box<ErrorSlot>,
 }
 
@@ -72,11 +74,20 @@ impl Device {
         let slot = &*error as *const ErrorSlot as *mut c_void;
         // SAFETY: the handle is a live device; the slot is boxed, so it stays
         // where it is until `drop`, which releases the device first.
-        let (header, library) = unsafe {
+        let (header, library, packet) = unsafe {
             ffi::lt_device_on_error(handle, Some(record_error), slot);
-            (ffi::lt_header_version(), ffi::lt_library_version(handle))
+            let packet = ffi::lt_packet_width(handle);
+            (
+                ffi::lt_header_version(),
+                ffi::lt_library_version(handle),
+                packet,
+            )
         };
-        let device = Device { handle, error };
+        let device = Device {
+            handle,
+            packet,
+            error,
+        };
         check_versions(header, library)?;
         Ok(device)
     }

@@ -147,7 +147,13 @@ impl<'m> BareEmbree<'m> {
         // SAFETY: the scene is live and committed; both structs are 64-byte aligned
         // and of the library's own layout.
         unsafe {
-            ffi::lt_intersect16(self.tree.scene, coherent, valid.0.as_ptr(), &mut packet);
+            ffi::lt_intersect16(
+                self.tree.scene,
+                coherent,
+                self.tree.device.packet,
+                valid.0.as_ptr(),
+                &mut packet,
+            );
         }
         for (i, hit) in hits.iter_mut().enumerate() {
             *hit = match packet.hit.geomID[i] {
@@ -165,7 +171,13 @@ impl<'m> BareEmbree<'m> {
         let (valid, mut packet) = BareEmbree::pack(rays);
         // SAFETY: as in `closest16`.
         unsafe {
-            ffi::lt_occluded16(self.tree.scene, coherent, valid.0.as_ptr(), &mut packet);
+            ffi::lt_occluded16(
+                self.tree.scene,
+                coherent,
+                self.tree.device.packet,
+                valid.0.as_ptr(),
+                &mut packet,
+            );
         }
         for (blocked, t) in blocked.iter_mut().zip(packet.tfar) {
             *blocked = t == f32::NEG_INFINITY;

@@ -31,7 +31,7 @@ fn embree_writes_nothing_past_its_structs() {
     let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(&mesh, &part, 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, WIDTH as u64);
-    let (valid, ray, _) = Tree::pack(&rays, &part);
+    let (valid, ray, _) = Tree::pack(&rays, u16::MAX, &part);
     let mut closest = Guarded {
         value: ffi::RTCRayHit16 {
             ray,
@@ -45,10 +45,23 @@ fn embree_writes_nothing_past_its_structs() {
         value: ray,
         guard: [0xA5; 1024],
     };
+    let width = tree.device.packet;
     // SAFETY: scene live and committed, structs aligned to 64 bytes.
     unsafe {
-        ffi::lt_intersect16(tree.scene, true, valid.0.as_ptr(), &mut closest.value);
-        ffi::lt_occluded16(tree.scene, true, valid.0.as_ptr(), &mut occluded.value);
+        ffi::lt_intersect16(
+            tree.scene,
+            true,
+            width,
+            valid.0.as_ptr(),
+            &mut closest.value,
+        );
+        ffi::lt_occluded16(
+            tree.scene,
+            true,
+            width,
+            valid.0.as_ptr(),
+            &mut occluded.value,
+        );
     }
     assert!(closest.value.hit.geomID.contains(&0), "no ray hit");
     assert_eq!(closest.guard, [0xA5; 1024]);
@@ -68,7 +81,7 @@ fn other_instructions_meet_the_same_triangles() {
         let tree = built(settings, &mesh, None, &part);
         let mut met = vec![(None, 0.0); rays.len()];
         for (packet, rays) in rays.chunks(WIDTH).enumerate() {
-            tree.closest(rays, &part, |i, triangle, t, side| {
+            tree.closest(rays, u16::MAX, &part, |i, triangle, t, side| {
                 met[packet * WIDTH + i] = (Some((triangle, side)), t);
             });
         }
@@ -122,7 +135,7 @@ impl Demo {
         let tree = built(settings, &self.mesh, quads, &part);
         let mut hits = vec![None; self.rays.len()];
         for (packet, rays) in self.rays.chunks(WIDTH).enumerate() {
-            tree.closest(rays, &part, |i, triangle, t, side| {
+            tree.closest(rays, u16::MAX, &part, |i, triangle, t, side| {
                 hits[packet * WIDTH + i] = Some((triangle, side, t));
             });
         }

@@ -87,7 +87,11 @@ impl PartBox {
         (self.bounds.size() / 2.0).max_element() * 2f64.powi(-20)
     }
 
-    /// See [`super::Accel::overshoot`].
+    /// How far beside a triangle f32 may take a ray to meet it, mm: some 60 roundings
+    /// (2⁻¹⁸ of the half size), and on a plane seen at an angle θ from edge-on 1/sin θ
+    /// times as far: down to 1° nothing is left out, and below only what lies beside an
+    /// edge.
+    #[cfg(feature = "embree")]
     pub fn overshoot(&self) -> f64 {
         self.resolution() * 256.0
     }
@@ -97,11 +101,20 @@ impl PartBox {
         self.bounds.size().length() * 1e-3
     }
 
-    /// What refinement makes of a hit.
+    /// What refinement makes of a hit that f32 reports.
+    #[cfg(feature = "embree")]
     pub fn tolerance(&self) -> Tolerance {
         Tolerance {
             along: self.refinement(),
             beside: self.overshoot(),
+        }
+    }
+
+    /// And of one that f64 reports, which is final.
+    pub fn final_tolerance(&self) -> Tolerance {
+        Tolerance {
+            along: self.refinement(),
+            beside: self.resolution(),
         }
     }
 
@@ -125,14 +138,57 @@ impl PartBox {
         (enter <= leave).then_some((enter, leave))
     }
 
+    /// A distance, mm, after which none of the rays from one point is further than an
+    /// eighth of the half size before the box, and none past where it enters. `None` if
+    /// there is no such distance, or the rays start at different points.
+    #[cfg(feature = "embree")]
+    pub fn approach(&self, rays: &[Ray]) -> Option<f64> {
+        let start = rays.first()?.origin;
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for ray in rays {
+            if ray.origin != start {
+                return None;
+            }
+            (low, high) = (low.min(ray.direction), high.max(ray.direction));
+        }
+        let margin = DVec3::splat(2.0 * self.resolution());
+        let (below, above) = (
+            self.bounds.min - margin - start,
+            start - self.bounds.max - margin,
+        );
+        // The least and the greatest distance of each axis' plane.
+        let (mut nearest, mut furthest) = (0.0f64, 0.0f64);
+        for axis in 0..3 {
+            let (gap, slow, fast) = match below[axis] > above[axis] {
+                true => (below[axis], low[axis], high[axis]),
+                false => (above[axis], -high[axis], -low[axis]),
+            };
+            if gap > 0.0 {
+                // A ray that runs past the box never comes to the plane.
+                if slow <= 0.0 {
+                    return None;
+                }
+                nearest = nearest.max(gap / fast);
+                furthest = furthest.max(gap / slow);
+            }
+        }
+        let half = (self.bounds.size() / 2.0).max_element();
+        (furthest - nearest <= half / 8.0).then_some(nearest)
+    }
+
     /// A ray advanced in f64 to the box, so that a long standoff costs no digits.
     pub fn inside(&self, ray: &Ray) -> Option<Inside> {
         let (advanced, leave) = self.interval(ray)?;
-        Some(Inside {
+        Some(self.advanced(ray, advanced, leave))
+    }
+
+    /// The same of a ray that enters after `advanced` mm and leaves after `leave`.
+    pub fn advanced(&self, ray: &Ray, advanced: f64, leave: f64) -> Inside {
+        Inside {
             origin: (ray.origin + ray.direction * advanced - self.center).as_vec3(),
             advanced,
             length: leave - advanced,
-        })
+        }
     }
 }
 
@@ -144,6 +200,10 @@ pub(super) enum Side {
     Front,
     Back,
 }
+
+/// Packets that 16 rays may be traced in.
+#[cfg(feature = "embree")]
+const PACKETS: usize = 2;
 
 enum Tree<'m> {
     #[cfg(feature = "embree")]
@@ -189,45 +249,48 @@ impl<'m> Hierarchy<'m> {
         &self.part
     }
 
-    /// See [`super::Accel::closest`].
+    /// See [`super::Accel::closest`] and [`super::Accel::closest_some`].
     pub fn closest(
         &self,
         rays: &[Ray],
+        some: u16,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
-        let tolerance = self.part.tolerance();
         let mut hits = [None; WIDTH];
-        let refined = |i: usize, triangle: u32, t: f64| {
+        let refined = |i: usize, triangle: u32, t: f64, tolerance: Tolerance| {
             let corners = self.mesh.triangle(triangle as usize);
             refine(&rays[i], triangle, corners, t, tolerance)
         };
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
-                let mut doubts = Doubts::default();
-                tree.closest(rays, &self.part, |ray, triangle, t, side| {
+                let wanted = |ray: usize, t: f64| some >> ray & 1 == 1 && wanted(ray, t);
+                // By the packets of rays that are traced together.
+                let mut doubts: [Doubts; PACKETS] = Default::default();
+                tree.closest(rays, some, &self.part, |ray, triangle, t, side| {
+                    let doubts = &mut doubts[ray / tree.together()];
                     if side == Side::Back {
                         doubts.backs.push(Doubt { ray, triangle, t });
                     }
                     if !wanted(ray, t) {
                         return;
                     }
-                    let refined = refined(ray, triangle, t);
+                    let refined = refined(ray, triangle, t, self.part.tolerance());
                     hits[ray] = refined.hit();
                     if !matches!(refined, Refined::On(_)) {
                         let t = hits[ray].map_or(t, |hit: Hit| hit.t);
                         doubts.passed.push(Doubt { ray, triangle, t });
                     }
                 });
-                if !doubts.is_empty() {
+                for doubts in doubts.into_iter().filter(|doubts| !doubts.is_empty()) {
                     doubts.settle(tree, &self.part, rays, |ray, hit| {
                         hits[ray] = hit.filter(|hit| wanted(ray, hit.t));
                     });
                 }
             }
             Tree::Rust(tree) => tree.closest(rays, &self.part, |i, triangle, t| {
-                if wanted(i, t) {
-                    hits[i] = refined(i, triangle, t).hit();
+                if some >> i & 1 == 1 && wanted(i, t) {
+                    hits[i] = refined(i, triangle, t, self.part.final_tolerance()).hit();
                 }
             }),
         }

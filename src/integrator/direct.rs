@@ -5,7 +5,7 @@
 
 use super::footprint::footprint;
 use super::irradiance::Irradiance;
-use super::lit::{Center, Light, LitRays};
+use super::lit::{Center, Light, LitRays, Rays};
 use super::pixels::{Pixels, SIDE, middle};
 use super::samples::Grid;
 use super::sight::Sight;
@@ -14,7 +14,7 @@ use super::window::Window;
 use crate::accel::{Accel, Clusters, WIDTH};
 use crate::camera::Camera;
 use crate::laser::Laser;
-use crate::math::{DVec2, DVec3, Rigid};
+use crate::math::{DVec2, Rigid};
 use crate::surface::Lambert;
 use rayon::prelude::*;
 
@@ -216,7 +216,7 @@ impl Frame<'_> {
         for first in (0..samples.len() * centres.len()).step_by(WIDTH) {
             let chunk = first..(first + WIDTH).min(samples.len() * centres.len());
             let mut places = [DVec2::ZERO; WIDTH];
-            let mut directions = [DVec3::Z; WIDTH];
+            let mut rays = Rays::new();
             let mut rays_wanted = 0;
             for (i, ray) in chunk.clone().enumerate() {
                 let (pixel, sample) = (ray / samples.len(), ray % samples.len());
@@ -225,17 +225,12 @@ impl Frame<'_> {
                 }
                 places[i] = centres[pixel] + samples[sample].0;
                 let towards = sight.towards(sight.to_sensor(places[i]), &mut bend);
-                directions[i] = towards.normalize();
+                rays.push(self.lit.ray(towards));
                 rays_wanted |= (wanted >> pixel & 1) << i;
             }
             let count = chunk.len();
             let mut centers = [const { Center::Nothing }; WIDTH];
-            (self.lit).look(
-                &places[..count],
-                &directions[..count],
-                rays_wanted,
-                &mut centers,
-            );
+            (self.lit).look(&places[..count], &rays, rays_wanted, &mut centers);
             for (pixel, (&centre, sum)) in centres.iter().zip(&mut sums).enumerate() {
                 let own = samples.len() * pixel..samples.len() * (pixel + 1);
                 let own = own.start.max(chunk.start)..own.end.min(chunk.end);
@@ -259,7 +254,7 @@ impl Frame<'_> {
         centre: DVec2,
         mut lit: impl Iterator<Item = (DVec2, f64, &'l Light)>,
     ) -> f64 {
-        let value = |weight: f64, light: &Light| weight * light.irradiance * light.share;
+        let value = |weight: f64, light: &Light| weight * light.irradiance * light.share();
         let Some(reader) = &self.speckle else {
             return lit.map(|(_, weight, light)| value(weight, light)).sum();
         };

@@ -2,8 +2,8 @@
 //! touches within the camera's view, cut to it and projected to the sensor.
 //!
 //! Nothing lit is left out. A ray shows light only from a point P of its own at
-//! which the laser shines, and P is within `Accel::overshoot` of a point Q
-//! of a triangle. So P is in the volume, Q in the volume widened by the overshoot
+//! which the laser shines, and P is within `Accel::resolution` of a point Q
+//! of a triangle. So P is in the volume, Q in the volume widened by as much
 //! and thus in the cut polygon, and `Projection::spread` bounds how far the image
 //! of Q is from that of P, a point of the pixel.
 
@@ -57,7 +57,7 @@ pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixe
     pixels
 }
 
-/// How far Q may be from P: the overshoot, and the rounding of f64 in coordinates
+/// How far Q may be from P: the resolution, and the rounding of f64 in coordinates
 /// that run up to the largest in play (some 2⁻⁵⁰ of it, taken 16 times).
 fn margin(view: &View) -> f64 {
     let largest = [
@@ -67,7 +67,7 @@ fn margin(view: &View) -> f64 {
     .map(|p| p.abs().max_element())
     .into_iter()
     .fold(view.accel.largest_coordinate(), f64::max);
-    view.accel.overshoot() + largest * 2f64.powi(-46)
+    view.accel.resolution() + largest * 2f64.powi(-46)
 }
 
 /// The size (mm) of two pixels' view in the middle of the part: what is smaller
@@ -104,9 +104,9 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
     }
     let waist = laser.beam.waist_distance.clamp(near, far);
     let widest = laser.beam.radius(near).max(laser.beam.radius(far));
-    // A piece more for each 10 % that the beam widens.
-    let count = ((widest / laser.beam.radius(waist) - 1.0) * 10.0)
-        .clamp(1.0, 8.0)
+    // A piece more for each 2.5 % that the beam widens.
+    let count = ((widest / laser.beam.radius(waist) - 1.0) * 40.0)
+        .clamp(1.0, 16.0)
         .ceil();
     let furthest_x = part.min.x.abs().max(part.max.x.abs()) + margin;
     let (across, along) = (
@@ -163,7 +163,7 @@ const ROUNDING: f64 = 1e-2;
 /// Edges that rise less than this (pixels) count as level.
 const LEVEL: f64 = 1e-3;
 /// Polygons lower than this are marked by their bounding box, pixels.
-const LOW: f64 = 1.5;
+const LOW: f64 = 3.0;
 
 /// Adds to `pixels` what may see something.
 struct Marker<'a> {

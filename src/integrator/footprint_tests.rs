@@ -49,10 +49,9 @@ fn count(pixels: &Pixels) -> usize {
 }
 
 /// Pixels by which a footprint on the plane may be longer than what is lit, along an
-/// axis: half of one at each end, on average; and at each end what light may lie
-/// beside the triangle it belongs to, once in the beam and once on the sensor, each
-/// 2⁻¹² of the part's half size, 0.0122 mm or 0.244 px.
-const MORE: f64 = 2.0 + 4.0 * 0.244;
+/// axis: half of one at each end, on average; what light may lie beside the triangle it
+/// belongs to is less than a thousandth of a pixel.
+const MORE: f64 = 2.0;
 
 /// Rows that see light to 4 radii on a plane across the beam: 2·4·w·cos 30° at
 /// 0.05 mm a pixel, and as the width grows off the axis, under 2 %.

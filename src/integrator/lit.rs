@@ -4,7 +4,9 @@ use super::View;
 use super::pixels::{SIDE, middle};
 use super::sight::Sight;
 use crate::accel::{Hit, Ray, WIDTH};
+use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
+use smallvec::SmallVec;
 
 /// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
 /// ray, for its samples to be taken from that plane: so much the line would seem
@@ -39,13 +41,23 @@ pub(super) struct Plane {
 pub(super) struct Light {
     /// Irradiance on the sensor (mW/mm²) were this the middle of the beam.
     pub irradiance: f64,
-    /// What the beam's profile leaves of it.
-    pub share: f64,
+    /// Square of the distance from that middle, mm².
+    pub off2: f64,
     /// Of what is seen, along the camera's axis, mm.
     pub depth: f64,
     /// 1/e² radius of the beam there, mm.
     pub radius: f64,
 }
+
+impl Light {
+    /// What the beam's profile leaves of it.
+    pub fn share(&self) -> f64 {
+        gaussian(self.off2, self.radius)
+    }
+}
+
+/// Up to a packet of rays.
+pub(super) type Rays = SmallVec<[Ray; WIDTH]>;
 
 /// A view's rays.
 pub(super) struct LitRays<'a> {
@@ -82,26 +94,29 @@ impl<'a> LitRays<'a> {
     }
 
     /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
-    /// row; the rays of all are traced.
+    /// row.
     pub fn centers(&self, band: usize, first: usize, wanted: u16, centers: &mut [Center; WIDTH]) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
         let mut rays_wanted = 0;
         let mut places = [DVec2::ZERO; WIDTH];
-        let mut directions = [DVec3::Z; WIDTH];
+        let mut rays = Rays::new();
         let mut bend = DVec2::ZERO;
         for pixel in 0..WIDTH {
             let (column, row) = (first + pixel % SIDE, SIDE * band + pixel / SIDE);
             if column < resolution.x as usize && row < resolution.y as usize {
                 let place = middle(column, row);
                 let to_sensor = self.sight.to_sensor(place);
-                directions[count] = self.sight.towards(to_sensor, &mut bend).normalize();
+                rays.push(self.ray(self.sight.towards(to_sensor, &mut bend)));
                 (pixels[count], places[count]) = (pixel, place);
                 rays_wanted |= (wanted >> pixel & 1) << count;
                 count += 1;
             }
         }
-        self.look(&places[..count], &directions[..count], rays_wanted, centers);
+        self.look(&places[..count], &rays, rays_wanted, centers);
+        if count == WIDTH {
+            return;
+        }
         // At the sensor's border a tile has less than sixteen.
         centers[count..].fill(Center::Nothing);
         for (i, &pixel) in pixels[..count].iter().enumerate().rev() {
@@ -109,53 +124,43 @@ impl<'a> LitRays<'a> {
         }
     }
 
-    /// What rays in these directions (unit) see, up to 16, that start at the eye
-    /// from these places on the sensor; those that are not `wanted` (as bits) nothing.
-    pub fn look(
-        &self,
-        places: &[DVec2],
-        directions: &[DVec3],
-        wanted: u16,
-        centers: &mut [Center],
-    ) {
-        let mut rays = [Ray {
+    /// From the eye in this direction, of any length.
+    pub fn ray(&self, towards: DVec3) -> Ray {
+        Ray {
             origin: self.sight.eye,
-            direction: DVec3::Z,
+            direction: towards.normalize(),
             t_max: f64::INFINITY,
-        }; WIDTH];
-        for (ray, &direction) in rays.iter_mut().zip(directions) {
-            ray.direction = direction;
         }
-        let count = directions.len();
+    }
+
+    /// What rays from the eye see, up to 16, that come from these places on the sensor;
+    /// those that are not `wanted` (as bits) nothing.
+    pub fn look(&self, places: &[DVec2], rays: &[Ray], wanted: u16, centers: &mut [Center]) {
         let near_sheet = |i: usize, t: f64| {
-            if wanted >> i & 1 == 0 {
-                return false;
-            }
-            let climb = self.across.dot(directions[i]);
+            let climb = self.across.dot(rays[i].direction);
             (self.from_laser.eye.y + t * climb).abs() <= self.far
         };
-        let hits = self.view.accel.closest(&rays[..count], near_sheet);
-        let mut shadow_rays = rays;
+        let hits = self.view.accel.closest_some(rays, wanted, near_sheet);
+        let mut shadow_rays = Rays::new();
         let mut lit = [0; WIDTH];
-        let mut seen = 0;
-        for i in 0..count {
+        for (i, ray) in rays.iter().enumerate() {
             centers[i] = match &hits[i] {
                 None => Center::Nothing,
                 Some(hit) => {
-                    let (center, shadow_ray) = self.seen(hit, directions[i], places[i]);
+                    let (center, shadow_ray) = self.seen(hit, ray.direction, places[i]);
                     if let Some(ray) = shadow_ray {
-                        (lit[seen], shadow_rays[seen]) = (i, ray);
-                        seen += 1;
+                        lit[shadow_rays.len()] = i;
+                        shadow_rays.push(ray);
                     }
                     center
                 }
             };
         }
-        if seen == 0 {
+        if shadow_rays.is_empty() {
             return;
         }
-        let blocked = self.view.accel.occluded(&shadow_rays[..seen]);
-        for (bit, &i) in lit[..seen].iter().enumerate() {
+        let blocked = self.view.accel.occluded(&shadow_rays);
+        for (bit, &i) in lit[..shadow_rays.len()].iter().enumerate() {
             if let (1, Center::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
                 centers[i] = Center::Unlit(plane);
             }
@@ -197,7 +202,7 @@ impl<'a> LitRays<'a> {
         let radiance = self.view.surface.radiance(received);
         let light = Light {
             irradiance: radiance * self.sight.solid_angle(place),
-            share: section.gaussian(r2),
+            off2: r2,
             depth: self.sight.axis.dot(hit.point - self.sight.eye),
             radius,
         };

@@ -112,17 +112,19 @@ impl Pixels {
     pub fn near_in_tile(&self, band: usize, first: usize, around: usize) -> u16 {
         let top = SIDE * band;
         let rows = top.saturating_sub(around)..(top + SIDE + around).min(self.rows);
+        if around == 0 {
+            let own = rows.map(|row| self.in_tile(row, first) << (SIDE * (row - top)));
+            return own.sum::<u64>() as u16;
+        }
         rows.fold(0, |bits, row| {
             let mut near = self.in_tile(row, first);
-            if around > 0 {
-                let beside = |column: usize| self.row(row)[column / 64] >> (column % 64) & 1;
-                near |= near << 1 | near >> 1;
-                if first > 0 {
-                    near |= beside(first - 1);
-                }
-                if first + SIDE < self.columns {
-                    near |= beside(first + SIDE) << (SIDE - 1);
-                }
+            let beside = |column: usize| self.row(row)[column / 64] >> (column % 64) & 1;
+            near |= near << 1 | near >> 1;
+            if first > 0 {
+                near |= beside(first - 1);
+            }
+            if first + SIDE < self.columns {
+                near |= beside(first + SIDE) << (SIDE - 1);
             }
             let near = (near & 0xf) as u16;
             // Of the rows around it that are the tile's.

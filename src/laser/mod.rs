@@ -51,12 +51,10 @@ pub struct Section {
     pub aperture_point: DVec3,
 }
 
-impl Section {
-    /// Irradiance at the square `r2` (mm²) of a distance from axis or sheet, as a
-    /// share of that in the middle: exp(-2r²/w²).
-    pub fn gaussian(&self, r2: f64) -> f64 {
-        (-2.0 * r2 / (self.radius * self.radius)).exp()
-    }
+/// Irradiance at the square `r2` (mm²) of a distance from the axis or sheet of a beam
+/// of 1/e² `radius` w, as a share of that in the middle: exp(-2r²/w²).
+pub fn gaussian(r2: f64, radius: f64) -> f64 {
+    (-2.0 * r2 / (radius * radius)).exp()
 }
 
 /// Where light is taken to end, in beam radii from the axis or sheet: there the
@@ -72,7 +70,7 @@ impl Laser {
         let r2 = self.off_middle(p).length_squared();
         let lit = r2 <= (CUTOFF_RADII * section.radius).powi(2);
         lit.then(|| Illumination {
-            flux: section.flux * section.gaussian(r2),
+            flux: section.flux * gaussian(r2, section.radius),
             aperture_point: section.aperture_point,
         })
     }
