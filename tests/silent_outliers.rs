@@ -383,7 +383,9 @@ fn outliers_of_scenes_that_were_looked_at_carry_flags() {
     outliers_of_others(&LOOKED_AT, 5e-5);
 }
 
+/// Of the cylinder 6 and 8 of 14 200 points are silent under two draws of noise; with 8
+/// expected more than 17 are seen once in 600 draws.
 #[test]
 fn outliers_of_unseen_scenes_carry_flags() {
-    outliers_of_others(&UNSEEN, 5e-4);
+    outliers_of_others(&UNSEEN, 1.2e-3);
 }
