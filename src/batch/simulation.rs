@@ -5,7 +5,7 @@ use super::measure::error_model;
 use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
 use crate::accel::{Accel, Clusters};
-use crate::camera::{Counts, DARK_GROUP, DarkCounts, Sensor};
+use crate::camera::{Counts, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
@@ -16,7 +16,6 @@ use crate::mesh::Watch;
 use crate::profile::{Calibration, ErrorModel};
 use crate::scene::{Motion, Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 pub struct Simulation<'s> {
@@ -40,8 +39,6 @@ pub struct Simulation<'s> {
 /// Tells the key of the groups of dark pixels from those of pixels: no sensor has
 /// as many.
 const DARK: u64 = u64::MAX;
-/// Groups of dark pixels to a task.
-const DARK_GROUPS: usize = 4096;
 
 /// Builds the hierarchy a scene asks for; `watch` hears how far that is.
 pub(super) fn hierarchy<'s>(scene: &'s Scene, watch: &Watch) -> Result<Accel<'s>> {
@@ -173,31 +170,15 @@ impl<'s> Simulation<'s> {
         let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
         let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
         let (columns, rows) = (irradiance.columns(), irradiance.rows());
-        let pixel = |column: usize, row: usize| key.with((row * columns + column) as u64);
-        // Dark counts that differ are drawn over it.
-        let level = self
-            .dark
-            .as_ref()
-            .map_or_else(|| sensor.count(0.0, key), |_| 0);
-        let mut image = Counts::filled(columns, rows, level);
+        let mut image = match &self.dark {
+            None => Counts::filled(columns, rows, sensor.count(0.0, key)),
+            Some(dark) => Counts::of_columns(dark.draw(columns * rows, key.with(DARK)), rows),
+        };
         let counts = image.by_column_mut();
-        if let Some(dark) = &self.dark {
-            let dark_key = key.with(DARK);
-            let tasks = counts.par_chunks_mut(DARK_GROUPS * DARK_GROUP).enumerate();
-            tasks.for_each(|(task, counts)| {
-                let groups = counts.chunks_mut(DARK_GROUP);
-                for (group, counts) in (task * DARK_GROUPS..).zip(groups) {
-                    let first = group * DARK_GROUP;
-                    dark.draw(counts, dark_key.bits(group as u64), |k| {
-                        pixel((first + k) / rows, (first + k) % rows)
-                    });
-                }
-            });
-        }
         for row in 0..rows {
             for (column, e) in irradiance.row(row).filter(|&(_, e)| e != 0.0) {
-                let count = sensor.count(e as f64 * electrons, pixel(column, row));
-                counts[column * rows + row] = count;
+                let pixel = key.with((row * columns + column) as u64);
+                counts[column * rows + row] = sensor.count(e as f64 * electrons, pixel);
             }
         }
         image

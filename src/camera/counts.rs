@@ -19,6 +19,13 @@ impl Counts {
         }
     }
 
+    /// From counts column by column.
+    pub fn of_columns(by_column: Vec<u16>, rows: usize) -> Counts {
+        assert!(rows > 0 && !by_column.is_empty(), "an image has pixels");
+        assert!(by_column.len().is_multiple_of(rows), "columns are whole");
+        Counts { rows, by_column }
+    }
+
     /// From counts row by row, as files have them.
     pub fn of_rows(counts: &[u16], columns: usize) -> Counts {
         Counts {

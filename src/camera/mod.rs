@@ -14,7 +14,7 @@ mod model;
 mod sensor;
 
 pub use counts::Counts;
-pub use dark::{DarkCounts, GROUP as DARK_GROUP};
+pub use dark::DarkCounts;
 pub use distortion::Distortion;
 pub use lens::{Aperture, Lens};
 pub use model::{CameraModel, Projector};
