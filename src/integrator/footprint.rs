@@ -328,10 +328,14 @@ impl Marker<'_> {
 /// The first and the last of `count` pixels in a line that the stretch from `low` to
 /// `high` touches.
 fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
-    // Bounds that are not numbers count as infinite.
-    let first = low.floor().max(0.0);
-    let last = high.floor().min((count - 1) as f64);
-    (first <= last).then_some((first as usize, last as usize))
+    // Casts round what is not negative down, as `floor`, a call on baseline x86-64,
+    // would. Bounds that are not numbers count as infinite.
+    let first = low as usize;
+    let last = match high < count as f64 {
+        true => high as usize,
+        false => count - 1,
+    };
+    (first <= last && !(high < 0.0)).then_some((first, last))
 }
 
 /// Columns of the ends of the part of the edge `p`–`q` between two rows.

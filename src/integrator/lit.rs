@@ -171,24 +171,21 @@ impl<'a> LitRays<'a> {
     fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Center, Option<Ray>) {
         let laser = self.view.laser;
         let point = self.laser_from_part.point(hit.point);
-        let radius = laser.radius(point);
+        let section = laser.section(point);
         let normal = self.laser_from_part.vector(hit.normal);
-        let tolerance = PLANE_TOLERANCE * radius.unwrap_or(laser.beam.waist_radius);
+        let radius = section.map_or(laser.beam.waist_radius, |section| section.radius);
         let plane = Plane {
             point,
             normal,
-            tolerance: tolerance * direction.dot(hit.normal).abs(),
+            tolerance: PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs(),
         };
-        let Some(radius) = radius else {
+        let Some(section) = section else {
             return (Center::Unlit(plane), None);
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
             return (Center::Dark(plane), None);
         }
-        let Some(section) = laser.section(point) else {
-            return (Center::Unlit(plane), None);
-        };
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
         let aperture = self.view.part_from_laser.point(section.aperture_point);

@@ -26,31 +26,44 @@ impl Polygon {
 
     /// Keeps what is in the half-space (Sutherland & Hodgman 1974).
     pub fn cut(&mut self, half: &HalfSpace) {
+        let Some(last) = self.corners().last() else {
+            return;
+        };
         let mut heights = [0.0; MOST_CORNERS];
+        let (mut changes, mut before) = (0, half.height(*last) < 0.0);
         for (height, &corner) in heights.iter_mut().zip(self.corners()) {
             *height = half.height(corner);
+            let outside = *height < 0.0;
+            changes += u32::from(outside != before);
+            before = outside;
         }
-        let outside = |i: usize| heights[i % self.count] < 0.0;
-        let changes = (0..self.count).filter(|&i| outside(i) != outside(i + 1));
-        match changes.count() {
-            0 if self.count == 0 || !outside(0) => return,
-            0 | 2 => {}
+        match changes {
+            0 if before => self.count = 0,
+            2 => self.keep_inside(&heights),
             // All on the plane but for rounding: left whole, it is seen no less.
-            _ => return,
+            _ => {}
         }
-        let all = std::mem::replace(self, Polygon { count: 0, ..*self });
-        let mut before = all.count.wrapping_sub(1);
-        for i in 0..all.count {
+    }
+
+    /// Keeps the side of corners whose heights are not negative.
+    fn keep_inside(&mut self, heights: &[f64; MOST_CORNERS]) {
+        let mut inside = Polygon::new([DVec3::ZERO; 3]);
+        inside.count = 0;
+        let mut before = self.count - 1;
+        for i in 0..self.count {
             let (from, to) = (heights[before], heights[i]);
-            let (p, q) = (all.corners[before], all.corners[i]);
+            let (p, q) = (self.corners[before], self.corners[i]);
             if (from < 0.0) != (to < 0.0) {
-                self.push(p + (q - p) * (from / (from - to)));
+                inside.push(p + (q - p) * (from / (from - to)));
             }
             if to >= 0.0 {
-                self.push(q);
+                inside.push(q);
             }
             before = i;
         }
+        // Not all sixteen, of which most are not in use.
+        self.count = inside.count;
+        self.corners[..inside.count].copy_from_slice(inside.corners());
     }
 
     pub fn push(&mut self, corner: DVec3) {

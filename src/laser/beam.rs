@@ -43,19 +43,46 @@ impl Beam {
         z / (z * z + self.rayleigh_range().powi(2))
     }
 
+    /// w(z), w′(z)/w(z) and w(0)/w(z), for less than one by one: with D² = z_R² + z²
+    /// from the waist they are θ·D, z/D² and D(0)/D.
+    pub(super) fn shape(&self, z: f64) -> Shape {
+        let (divergence, waist) = (self.divergence(), self.waist_distance);
+        let range2 = (self.waist_radius / divergence).powi(2);
+        let off = z - waist;
+        let d2 = range2 + off * off;
+        let inverse = 1.0 / d2;
+        Shape {
+            radius: divergence * d2.sqrt(),
+            slope: off * inverse,
+            at_aperture: ((range2 + waist * waist) * inverse).sqrt(),
+        }
+    }
+
     /// Round beam: E = 2P/(π·w²)·exp(-2r²/w²) across the axis.
     pub(super) fn round(&self, p: DVec3) -> Option<Section> {
         if p.z <= 0.0 {
             return None;
         }
-        let w = self.radius(p.z);
+        let Shape {
+            radius: w,
+            slope,
+            at_aperture: shrink,
+        } = self.shape(p.z);
         let irradiance = 2.0 * self.power_mw / (PI * w * w);
-        let slope = self.relative_slope(p.z);
-        let shrink = self.radius(0.0) / w;
         Some(Section {
             flux: irradiance * DVec3::new(p.x * slope, p.y * slope, 1.0),
             radius: w,
             aperture_point: DVec3::new(p.x * shrink, p.y * shrink, 0.0),
         })
     }
+}
+
+/// A beam at a distance from its aperture.
+pub(super) struct Shape {
+    /// 1/e² radius w, mm.
+    pub radius: f64,
+    /// w′/w, 1/mm.
+    pub slope: f64,
+    /// Radius at the aperture over that here.
+    pub at_aperture: f64,
 }

@@ -1,5 +1,6 @@
 //! A line laser: a beam spread into a fan by a Powell or cylindrical lens.
 
+use super::beam::Shape;
 use super::{Beam, Section};
 use crate::math::DVec3;
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, SQRT_2};
@@ -44,12 +45,6 @@ impl Fan {
             && (self.profile == FanProfile::Gaussian || x <= p.z * half || x <= p.z * half.tan())
     }
 
-    /// w at `p`; as [`Self::sheet`].
-    pub(super) fn radius(&self, beam: &Beam, p: DVec3) -> Option<f64> {
-        let rho = (p.x * p.x + p.z * p.z).sqrt();
-        self.covers(p).then(|| beam.radius(rho))
-    }
-
     /// E = p(φ)/ρ·√(2/π)/w(ρ)·exp(-2y²/w²) with ρ the distance from the fan's
     /// origin line (the laser frame's y axis) and y that from the sheet.
     pub(super) fn sheet(&self, beam: &Beam, p: DVec3) -> Option<Section> {
@@ -61,13 +56,19 @@ impl Fan {
             FanProfile::Gaussian => self.power_per_radian(p.x.atan2(p.z)),
         };
         let rho = (p.x * p.x + p.z * p.z).sqrt();
-        let w = beam.radius(rho);
-        let irradiance = beam.power_mw * per_radian / rho * FRAC_2_PI.sqrt() / w;
-        let slope = p.y * beam.relative_slope(rho);
-        Some(Section {
-            flux: irradiance * DVec3::new(p.x / rho, slope, p.z / rho),
+        let Shape {
             radius: w,
-            aperture_point: DVec3::new(0.0, p.y * beam.radius(0.0) / w, 0.0),
+            slope,
+            at_aperture,
+        } = beam.shape(rho);
+        let inverse = 1.0 / (rho * w);
+        let irradiance = beam.power_mw * per_radian * FRAC_2_PI.sqrt() * inverse;
+        // 1/ρ
+        let unit = w * inverse;
+        Some(Section {
+            flux: irradiance * DVec3::new(p.x * unit, p.y * slope, p.z * unit),
+            radius: w,
+            aperture_point: DVec3::new(0.0, p.y * at_aperture, 0.0),
         })
     }
 }

@@ -84,14 +84,6 @@ impl Laser {
         }
     }
 
-    /// [`Section::radius`] at `p`, for less.
-    pub fn radius(&self, p: DVec3) -> Option<f64> {
-        match &self.fan {
-            None => (p.z > 0.0).then(|| self.beam.radius(p.z)),
-            Some(fan) => fan.radius(&self.beam, p),
-        }
-    }
-
     /// From the axis, or from the sheet of a fan, to `p` (laser frame), (x, y) in mm;
     /// linear in `p`.
     pub fn off_middle(&self, p: DVec3) -> DVec2 {
