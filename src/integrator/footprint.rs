@@ -328,6 +328,9 @@ impl Marker<'_> {
 /// The first and the last of `count` pixels in a line that the stretch from `low` to
 /// `high` touches.
 fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
+    if high < 0.0 {
+        return None;
+    }
     // Casts round what is not negative down, as `floor`, a call on baseline x86-64,
     // would. Bounds that are not numbers count as infinite.
     let first = low as usize;
@@ -335,7 +338,7 @@ fn cells(low: f64, high: f64, count: usize) -> Option<(usize, usize)> {
         true => high as usize,
         false => count - 1,
     };
-    (first <= last && !(high < 0.0)).then_some((first, last))
+    (first <= last).then_some((first, last))
 }
 
 /// Columns of the ends of the part of the edge `p`–`q` between two rows.
