@@ -12,11 +12,7 @@ pub struct Counts {
 impl Counts {
     /// The same count all over, at least one column and row.
     pub fn filled(columns: usize, rows: usize, count: u16) -> Counts {
-        assert!(columns > 0 && rows > 0, "an image has pixels");
-        Counts {
-            rows,
-            by_column: vec![count; columns * rows],
-        }
+        Counts::of_columns(vec![count; columns * rows], rows)
     }
 
     /// From counts column by column.

@@ -14,7 +14,7 @@ const CELL_BITS: usize = 13;
 const CELLS: usize = 1 << CELL_BITS;
 /// A cell in which counts meet. (Were this its counts, they would be found there.)
 const MIXED: u32 = u32::MAX;
-/// Mixed cells from which on two pixels a cell take longer than one.
+/// With more mixed cells than these a cell is of one pixel: a choice of speed alone.
 const MOST_MIXED: usize = CELLS / 64;
 
 /// The distribution of the counts of dark pixels under read noise: by the inverse
@@ -101,11 +101,11 @@ impl DarkCounts {
         // Side by side in registers: as arrays they would wait for their own bytes.
         let words = match self.pairs {
             true => {
-                let [a, b, c, d] = self.cells(key, group);
+                let [a, b, c, d] = self.draw_cells(key, group);
                 [a | b << 32, c | d << 32]
             }
             false => [0, 1].map(|half| {
-                let [a, b, c, d] = self.cells(key, 2 * group + half);
+                let [a, b, c, d] = self.draw_cells(key, 2 * group + half);
                 a | b << 16 | c << 32 | d << 48
             }),
         };
@@ -114,7 +114,7 @@ impl DarkCounts {
 
     /// Counts of cells drawn from the key's 64 bits with this number.
     #[inline(always)]
-    fn cells(&self, key: Key, number: u64) -> [u64; DRAWN] {
+    fn draw_cells(&self, key: Key, number: u64) -> [u64; DRAWN] {
         let bits = key.bits(number);
         let mut drawn = std::array::from_fn(|i| self.cells[cell(bits, i)]);
         if drawn.contains(&MIXED) {

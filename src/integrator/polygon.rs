@@ -26,13 +26,15 @@ impl Polygon {
 
     /// Keeps what is in the half-space (Sutherland & Hodgman 1974).
     pub fn cut(&mut self, half: &HalfSpace) {
-        let Some(last) = self.corners().last() else {
-            return;
-        };
         let mut heights = [0.0; MOST_CORNERS];
-        let (mut changes, mut before) = (0, half.height(*last) < 0.0);
         for (height, &corner) in heights.iter_mut().zip(self.corners()) {
             *height = half.height(corner);
+        }
+        let Some(last) = heights[..self.count].last() else {
+            return;
+        };
+        let (mut changes, mut before) = (0, *last < 0.0);
+        for height in &heights[..self.count] {
             let outside = *height < 0.0;
             changes += u32::from(outside != before);
             before = outside;
@@ -47,8 +49,10 @@ impl Polygon {
 
     /// Keeps the side of corners whose heights are not negative.
     fn keep_inside(&mut self, heights: &[f64; MOST_CORNERS]) {
-        let mut inside = Polygon::new([DVec3::ZERO; 3]);
-        inside.count = 0;
+        let mut inside = Polygon {
+            corners: [DVec3::ZERO; MOST_CORNERS],
+            count: 0,
+        };
         let mut before = self.count - 1;
         for i in 0..self.count {
             let (from, to) = (heights[before], heights[i]);

@@ -36,13 +36,6 @@ impl Beam {
         self.waist_radius * (1.0 + spread * spread).sqrt()
     }
 
-    /// w′(z)/w(z): energy flows along r/w(z) = const, so a ray at radius r has
-    /// slope r times this.
-    pub(super) fn relative_slope(&self, z: f64) -> f64 {
-        let z = z - self.waist_distance;
-        z / (z * z + self.rayleigh_range().powi(2))
-    }
-
     /// w(z), w′(z)/w(z) and w(0)/w(z), for less than one by one: with D² = z_R² + z²
     /// from the waist they are θ·D, z/D² and D(0)/D.
     pub(super) fn shape(&self, z: f64) -> Shape {
@@ -81,8 +74,37 @@ impl Beam {
 pub(super) struct Shape {
     /// 1/e² radius w, mm.
     pub radius: f64,
-    /// w′/w, 1/mm.
+    /// w′/w, 1/mm: energy flows along r/w = const, so a ray at radius r has slope r
+    /// times this.
     pub slope: f64,
     /// Radius at the aperture over that here.
     pub at_aperture: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against w(z) and its difference quotient over ±h, which is off by h²/6·w‴; that is at
+    /// most 0.86·w₀/z_R³: 3e-8/mm of w for h = 1e-4 mm and z_R = 0.37 mm, the shortest here.
+    /// What rounding z by 2⁻⁴⁶ adds is a thirtieth of that.
+    #[test]
+    fn the_shape_is_that_of_the_radius() {
+        for (waist_radius, waist_distance) in [(0.01, 150.0), (0.08, 0.0), (2.0, -30.0)] {
+            let beam = Beam {
+                wavelength: 660e-6,
+                power_mw: 1.0,
+                waist_radius,
+                waist_distance,
+                m_squared: 1.3,
+            };
+            for z in [1e-6, 90.0, 149.9, 151.0, 400.0] {
+                let (shape, w) = (beam.shape(z), beam.radius(z));
+                let steep = (beam.radius(z + 1e-4) - beam.radius(z - 1e-4)) / 2e-4;
+                assert!((shape.radius / w - 1.0).abs() < 1e-14, "{z}");
+                assert!((shape.at_aperture * w / beam.radius(0.0) - 1.0).abs() < 1e-14);
+                assert!((shape.slope - steep / w).abs() < 1e-7, "{z}");
+            }
+        }
+    }
 }

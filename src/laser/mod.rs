@@ -99,7 +99,7 @@ impl Laser {
     pub fn wavefront(&self, p: DVec3) -> Wavefront {
         let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
         if self.fan.is_none() {
-            let bend = self.beam.relative_slope(p.z);
+            let bend = self.beam.shape(p.z).slope;
             return Wavefront {
                 direction: DVec3::Z,
                 curvature_per_mm: (outer(DVec3::X) + outer(DVec3::Y)) * bend,
@@ -107,7 +107,7 @@ impl Laser {
         }
         let rho = p.x.hypot(p.z);
         let direction = DVec3::new(p.x / rho, 0.0, p.z / rho);
-        let bend = self.beam.relative_slope(rho);
+        let bend = self.beam.shape(rho).slope;
         Wavefront {
             direction,
             curvature_per_mm: outer(DVec3::Y.cross(direction)) * rho.recip()
