@@ -24,8 +24,11 @@ pub struct InputError {
     pub place: Place,
     /// Dotted key in a scene file (`camera.f_number`); `None` in a mesh.
     pub key: Option<String>,
+    /// Empty: a key that must be there is not.
     pub found: String,
     pub expected: String,
+    /// What was probably meant.
+    pub hint: Option<String>,
 }
 
 impl InputError {
@@ -42,6 +45,7 @@ impl InputError {
             key: None,
             found: found.into(),
             expected: expected.into(),
+            hint: None,
         }
     }
 }
@@ -57,7 +61,15 @@ impl fmt::Display for InputError {
         if let Some(key) = &self.key {
             write!(f, ": {key}")?;
         }
-        write!(f, ": found {}, expected {}", self.found, self.expected)
+        match self.found.as_str() {
+            "" => write!(f, " is missing")?,
+            found => write!(f, ": found {found}")?,
+        }
+        write!(f, ", expected {}", self.expected)?;
+        match &self.hint {
+            Some(hint) => write!(f, "; {hint}"),
+            None => Ok(()),
+        }
     }
 }
 
@@ -97,8 +109,8 @@ pub enum Error {
     Busy(PathBuf),
     /// The user stopped the run.
     #[error(
-        "interrupted; run the same command again to complete (with scan --resume the \
-         finished frames stay)"
+        "interrupted before the end; to go on after a scan's last finished frame, run the same \
+         command with --resume; without it, and for other commands, the work starts anew"
     )]
     Interrupted,
 }

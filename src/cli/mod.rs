@@ -4,6 +4,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
+mod complaint;
 mod peaks;
 mod render;
 mod scan;
@@ -38,7 +39,7 @@ struct Cli {
     /// No progress bar
     #[arg(long, global = true)]
     quiet: bool,
-    /// Print one JSON object on stdout instead of text
+    /// Print one JSON object on stdout instead of text, for errors too
     #[arg(long, global = true)]
     json: bool,
 }
@@ -174,17 +175,21 @@ fn show(bar: &ProgressBar, share: f64) {
 pub fn run() -> u8 {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => {
+        Err(error) if error.use_stderr() => {
+            complaint::complain_of_usage(&error);
+            return 64;
+        }
+        Err(help) => {
             // Help and version are no errors and go to stdout.
-            let _ = error.print();
-            return if error.use_stderr() { 64 } else { 0 };
+            let _ = help.print();
+            return 0;
         }
     };
+    let json = cli.json;
     match execute(cli) {
         Ok(()) => 0,
         Err(error) => {
-            // A closed stderr must not hide the exit code.
-            let _ = writeln!(std::io::stderr(), "lasertrace: {error}");
+            complaint::complain(&error, json);
             error.exit_code()
         }
     }

@@ -391,3 +391,7 @@ pub fn schema() -> String {
     let schema = schemars::schema_for!(SceneFile);
     serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
 }
+
+pub(super) fn schema_value() -> serde_json::Value {
+    schemars::schema_for!(SceneFile).to_value()
+}

@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod file;
+mod keys;
 mod locate;
 mod optics;
 mod path;

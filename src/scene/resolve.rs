@@ -9,7 +9,8 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{self, Mesh, Watch, shapes};
+use crate::mesh::shapes::{self, WrongSize};
+use crate::mesh::{self, Mesh, Watch};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
@@ -281,9 +282,12 @@ impl Resolver<'_> {
             "part",
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
-        let shape = |key: &str, shape: std::result::Result<Mesh, String>| match shape {
+        let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
             Ok(mesh) => Ok((mesh, Vec::new())),
-            Err(expected) => Err(self.source.wrong(key, &expected)),
+            Err(wrong) => {
+                let key = format!("{table}.{}", wrong.argument);
+                Err(self.source.wrong(&key, &wrong.expected))
+            }
         };
         if let Some(table) = &part.mesh {
             let file = self.beside(&table.file);
@@ -299,7 +303,7 @@ impl Resolver<'_> {
             return Ok((mesh?, hash));
         }
         if let Some(table) = &part.plane {
-            return shape("part.plane.size_mm", shapes::plane(table.size_mm.into()));
+            return shape("part.plane", shapes::plane(table.size_mm.into()));
         }
         if let Some(table) = &part.sphere {
             let chord = table.chord_um * 1e-3;
