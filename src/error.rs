@@ -107,11 +107,11 @@ pub enum Error {
     /// Another run writes to this folder.
     #[error("another run is writing to {}; wait for its end or choose another folder", .0.display())]
     Busy(PathBuf),
+    /// What warns of a worthless result is to be an error.
+    #[error("{}", .0.join(" "))]
+    Warned(Vec<String>),
     /// The user stopped the run.
-    #[error(
-        "interrupted before the end; to go on after a scan's last finished frame, run the same \
-         command with --resume; without it, and for other commands, the work starts anew"
-    )]
+    #[error("interrupted before the end")]
     Interrupted,
 }
 
@@ -138,7 +138,7 @@ impl Error {
         use std::io::ErrorKind::{QuotaExceeded, StorageFull};
         match self {
             Error::Usage(_) => 64,
-            Error::Input(_) => 65,
+            Error::Input(_) | Error::Warned(_) => 65,
             Error::Embree(_) => 70,
             Error::Io { source, .. } => match source.kind() {
                 StorageFull | QuotaExceeded => 75,

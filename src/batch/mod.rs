@@ -4,6 +4,7 @@
 mod bench_bvh;
 mod calibrate;
 mod chart;
+mod check;
 mod files;
 mod frames;
 mod journal;
@@ -18,15 +19,18 @@ mod scan;
 mod scan_speckle;
 mod simulation;
 mod speckle;
+mod survey;
 mod synthetic;
 mod tiers;
 mod uncertainty;
+mod warnings;
 mod wave;
 
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use check::{Checked, MeasuringRange, check};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use planner::scene_plan;
@@ -36,6 +40,7 @@ pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
+pub use warnings::{Reason, Warning, refuse};
 pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
 };

@@ -4,6 +4,7 @@
 use super::frames::Run;
 use super::journal::{Journal, RunKey};
 use super::report::Shown;
+use super::warnings::{self, Foreseen, Warning};
 use super::{Control, Coverage, Simulation, files};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
@@ -35,7 +36,7 @@ pub struct ScanSummary {
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
     pub points: usize,
-    /// Of sound points ([`CloudPoint::is_sound`]); `null` if there is none.
+    /// Of valid points ([`CloudPoint::is_sound`]); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
     pub deviation_of_all: Option<DeviationStatistics>,
@@ -48,6 +49,8 @@ pub struct ScanSummary {
     /// What was planned for the scene's tolerance, if it states one.
     pub accuracy: Option<Accuracy>,
     pub coverage: Option<SurfaceCoverage>,
+    /// What spoils the scan; empty for a good one.
+    pub warnings: Vec<Warning>,
     pub cloud: PathBuf,
     pub report: PathBuf,
     /// The frame shown in the report, if one was taken, and the cloud over the part.
@@ -81,6 +84,8 @@ pub struct ScanOptions {
     pub resume: bool,
     /// No images: profiles from laser rays and what the camera sees of them.
     pub geometry_only: bool,
+    /// A scan that cannot give anything worth having is an error, before it starts.
+    pub strict: bool,
     /// Forms of the cloud and the profiles beside PLY and CSV.
     pub also: Vec<Format>,
 }
@@ -110,6 +115,9 @@ pub fn scan(
         frames: frames.clone(),
         geometry_only: options.geometry_only,
     };
+    if options.strict {
+        refuse_worthless(scene, options, &frames, control)?;
+    }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
@@ -154,7 +162,24 @@ pub fn scan(
         seconds_report: measured.elapsed().as_secs_f64(),
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
+    if options.strict {
+        warnings::refuse(&summary.warnings)?;
+    }
     Ok(summary)
+}
+
+/// Refuses a scan that geometry and light say will give nothing worth having, while what
+/// an earlier run left is still there.
+fn refuse_worthless(
+    scene: &Scene,
+    options: &ScanOptions,
+    frames: &Range<u32>,
+    control: &Control,
+) -> Result<()> {
+    let accel = control.hierarchy(scene)?;
+    let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
+    let Foreseen { warnings, .. } = warnings::foreseen(scene, &accel, frames.clone(), images);
+    warnings::refuse(&warnings)
 }
 
 /// Makes the folders for profiles and frames, free of an earlier run's files if this
@@ -218,6 +243,10 @@ fn finish(
     });
     control.check()?;
     let mut summary = summary(scene, frames, &points, out);
+    let images = !simulation.plan.geometry_only;
+    let Foreseen { warnings, .. } =
+        warnings::foreseen(scene, &simulation.accel, frames.clone(), images);
+    summary.warnings = warnings::found(&points, frames.len(), &warnings);
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
@@ -232,7 +261,7 @@ fn finish(
         points: &points,
         frames: frames.clone(),
         poses: &poses,
-        images: !simulation.plan.geometry_only,
+        images,
         summary: &summary,
         run,
     };
@@ -284,6 +313,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         alignment: None,
         accuracy: None,
         coverage: None,
+        warnings: Vec::new(),
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),
         pictures: Vec::new(),

@@ -30,8 +30,17 @@ struct InFile<'a> {
 
 /// An error: one line on stderr for people, and with `json` one object on stdout for
 /// programs. A stream that is closed must not hide the exit code.
-pub fn complain(error: &Error, json: bool) {
-    let message = error.to_string();
+/// `resumable`: the command can go on where it was interrupted.
+pub fn complain(error: &Error, json: bool, resumable: bool) {
+    let next = match error {
+        Error::Interrupted if resumable => {
+            "; run the same command with --resume to go on after the last finished frame: without \
+             --resume it starts anew and replaces them all"
+        }
+        Error::Interrupted => "; run the same command again: it starts anew",
+        _ => "",
+    };
+    let message = format!("{error}{next}");
     let _ = writeln!(std::io::stderr(), "lasertrace: {message}");
     if json {
         let place = match error {

@@ -28,7 +28,8 @@ static STOP: AtomicBool = AtomicBool::new(false);
     version,
     about,
     after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
-    70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again."
+    70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again,\n\
+    a scan with --resume."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -163,6 +164,12 @@ impl Output {
     }
 }
 
+/// Each warning as a line.
+fn warning_lines(warnings: &[crate::batch::Warning]) -> String {
+    let line = |warning: &crate::batch::Warning| format!("warning: {}\n", warning.message);
+    warnings.iter().map(line).collect()
+}
+
 /// Draws a share from 0 to 1; at 1 the bar goes.
 fn show(bar: &ProgressBar, share: f64) {
     bar.set_position((1e3 * share) as u64);
@@ -186,10 +193,11 @@ pub fn run() -> u8 {
         }
     };
     let json = cli.json;
+    let resumable = matches!(cli.command, Command::Scan(_));
     match execute(cli) {
         Ok(()) => 0,
         Err(error) => {
-            complaint::complain(&error, json);
+            complaint::complain(&error, json, resumable);
             error.exit_code()
         }
     }

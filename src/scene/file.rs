@@ -86,7 +86,7 @@ pub struct MeshTable {
     pub unit: Unit,
 }
 
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize, JsonSchema, clap::ValueEnum)]
 pub enum Unit {
     #[serde(rename = "um")]
     #[value(name = "um")]
@@ -105,6 +105,14 @@ pub enum Unit {
 }
 
 impl Unit {
+    pub const ALL: [Unit; 5] = [
+        Unit::Micrometre,
+        Unit::Millimetre,
+        Unit::Centimetre,
+        Unit::Metre,
+        Unit::Inch,
+    ];
+
     /// Its length, mm.
     pub fn mm(self) -> f64 {
         match self {
@@ -114,6 +122,19 @@ impl Unit {
             Unit::Metre => 1000.0,
             Unit::Inch => 25.4,
         }
+    }
+}
+
+/// As scene files and command lines have it.
+impl std::fmt::Display for Unit {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(match self {
+            Unit::Micrometre => "um",
+            Unit::Millimetre => "mm",
+            Unit::Centimetre => "cm",
+            Unit::Metre => "m",
+            Unit::Inch => "inch",
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
 use super::accuracy::PlanTable;
-use super::file::{PartTable, SceneFile};
+use super::file::{PartTable, SceneFile, Unit};
 use super::locate::Source;
 use super::path::ScanPath;
 use crate::accel::Backend;
@@ -53,6 +53,8 @@ pub struct Scene {
     pub methods: PlanTable,
     #[serde(skip)]
     pub mesh: Mesh,
+    /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
+    pub mesh_unit: Option<Unit>,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
     /// as their number.
     #[serde(serialize_with = "number")]
@@ -220,6 +222,7 @@ impl Resolver<'_> {
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
             mesh,
+            mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
             copies,
             surface: Lambert { reflectance },
             part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
