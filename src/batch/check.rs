@@ -1,8 +1,9 @@
 //! What can be said of a scene before a scan.
 
+use super::Control;
 use super::planner::scene_plan_with;
+use super::reason::Warning;
 use super::warnings::{Foreseen, foreseen};
-use super::{Control, warnings::Warning};
 use crate::error::Result;
 use crate::integrator::Plan;
 use crate::scene::Scene;

@@ -13,6 +13,7 @@ mod peak_image;
 mod peaks;
 mod pilot;
 mod planner;
+mod reason;
 mod render;
 mod report;
 mod scan;
@@ -34,13 +35,14 @@ pub use check::{Checked, MeasuringRange, check};
 pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use planner::scene_plan;
+pub use reason::{Reason, Warning};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, plan};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
-pub use warnings::{Reason, Warning, refuse};
+pub use warnings::refuse;
 pub use wave::{
     ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
 };

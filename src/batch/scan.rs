@@ -3,8 +3,9 @@
 
 use super::frames::Run;
 use super::journal::{Journal, RunKey};
+use super::reason::Warning;
 use super::report::Shown;
-use super::warnings::{self, Foreseen, Warning};
+use super::warnings::{self, Foreseen};
 use super::{Control, Coverage, Simulation, files};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
