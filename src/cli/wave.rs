@@ -1,6 +1,7 @@
 use super::{AccelArguments, Output, STOP};
 use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
 use crate::speckle::wave_spot::SpotRow;
@@ -109,7 +110,7 @@ fn text(summary: &WaveSummary) -> String {
     }
     text += &spots(&summary.spots);
     for picture in &summary.pictures {
-        let _ = writeln!(text, "{}", picture.display());
+        let _ = writeln!(text, "{}", path(picture));
     }
     text
 }
