@@ -83,14 +83,14 @@ pub enum Error {
     /// Embree failed.
     #[error("Embree: {0}")]
     Embree(String),
-    /// The machine has too little memory for a mesh.
+    /// The machine has too little memory.
     #[error(
-        "{work} takes {:.2} GB, and {:.2} GB of memory are free: take a coarser mesh or a larger \
-         machine",
+        "{work} takes {:.2} GB, and {:.2} GB of memory are free: make it smaller, take fewer \
+         threads or a larger machine",
         *need as f64 / 1e9, *available as f64 / 1e9
     )]
     Memory {
-        /// What, of which mesh, and how its need comes about.
+        /// What, and how its need comes about.
         work: String,
         /// Bytes.
         need: u64,

@@ -203,29 +203,47 @@ fn another_seed_shows_in_manifest_and_noise_and_the_hash_stays_the_file_s() {
     assert!(frame == same_frame && frame != other_frame);
 }
 
-/// The symbolic link makes the file system refuse as a full disk does.
-#[cfg(target_os = "linux")]
+/// Files that may grow to so many blocks of 512 bytes: at each limit another one is the
+/// first that does not fit.
+#[cfg(unix)]
 #[test]
-fn a_full_disk_is_temporary_and_leaves_no_half_file() {
+fn a_file_that_may_not_grow_is_temporary_and_leaves_no_half_file() {
     let folder = folder_with(&scene(PLANE));
     let path = folder.path();
-    for name in ["cloud.ply", "report.html", "manifest.json"] {
-        let out = path.join(name.replace('.', "-"));
-        fs::create_dir(&out).unwrap();
-        let part = out.join(format!("{name}.part"));
-        std::os::unix::fs::symlink("/dev/full", &part).unwrap();
-        let arguments = ["scan", "scene.toml", "-o", out.to_str().unwrap()];
-        assert_error(
-            path,
-            &arguments,
-            75,
-            &["cannot write", name, "No space left"],
-        );
-        for absent in [name, "manifest.json"] {
-            assert!(!out.join(absent).exists(), "{absent} after {name} failed");
+    let mut refused = std::collections::BTreeSet::new();
+    for blocks in [1, 4, 8, 16, 32, 64] {
+        let out = path.join(format!("out-{blocks}"));
+        let limited = format!("ulimit -f {blocks}; exec \"$0\" scan scene.toml -o out-{blocks}");
+        let output = std::process::Command::new("sh")
+            .args(["-c", &limited, env!("CARGO_BIN_EXE_lasertrace")])
+            .current_dir(path)
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        if output.status.success() {
+            continue;
         }
-        assert!(part.symlink_metadata().is_err(), "{} left", part.display());
+        assert_eq!(output.status.code(), Some(75), "{stderr}");
+        let prefix = format!("lasertrace: cannot write out-{blocks}/");
+        let name = stderr
+            .strip_prefix(&prefix)
+            .and_then(|rest| rest.split(':').next());
+        let name = name.unwrap_or_else(|| panic!("{stderr}"));
+        assert!(
+            name == "frames.journal" || !out.join(name).exists(),
+            "{name}"
+        );
+        assert!(!out.join("manifest.json").exists());
+        assert!(!out.join(format!("{name}.part")).exists());
+        refused.insert(name.to_owned());
     }
+    assert!(refused.len() >= 2, "{refused:?}");
+}
+
+/// A result that is lost is no success.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_behind_stdout_is_temporary() {
     let full = fs::File::options().write(true).open("/dev/full").unwrap();
     let status = std::process::Command::new(env!("CARGO_BIN_EXE_lasertrace"))
         .arg("schema")

@@ -93,6 +93,10 @@ fn stranger(bytes: &[u8], head: &[u8]) -> Option<(String, &'static str)> {
     }
     let format = FileFormat::from(bytes);
     let expected = match format.kind() {
+        // One that is cut off, whose directory stood at its end.
+        _ if start.starts_with(b"pk\x03\x04") && format == FileFormat::ArbitraryBinaryData => {
+            return named("a ZIP archive that is cut off", UNPACKED);
+        }
         _ if format == FileFormat::ArbitraryBinaryData => return None,
         Kind::Archive | Kind::Compressed => UNPACKED,
         Kind::Model => TESSELLATED,
