@@ -2,8 +2,10 @@
 
 use crate::error::{Error, Result};
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
+use rustix::fs::OFlags;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 pub fn create_folder(path: &Path) -> Result<()> {
@@ -30,18 +32,17 @@ fn check_own_folder(path: &Path) -> io::Result<()> {
 
 /// Opens a file for reading and writing, empty if it is new.
 pub fn open_own_file(path: &Path) -> io::Result<File> {
-    let mut options = File::options();
-    options.read(true).write(true).create(true).truncate(false);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::OpenOptionsExt;
-        options.custom_flags(rustix::fs::OFlags::NOFOLLOW.bits() as i32);
+    // What the system says of a link ("too many levels") is of another case.
+    if path.is_symlink() {
+        return Err(link());
     }
-    // What the system says of it ("too many levels") is of another case.
-    match path.symlink_metadata() {
-        Ok(kind) if kind.is_symlink() => Err(link()),
-        _ => options.open(path),
-    }
+    File::options()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .custom_flags(OFlags::NOFOLLOW.bits() as i32)
+        .open(path)
 }
 
 fn link() -> io::Error {

@@ -31,7 +31,7 @@ const POINT_ON_DISK: u64 = 50 + 80;
 /// Bytes of a frame in the journal beside its points.
 const RECORD: u64 = 36 + 80;
 /// Report, pictures and summary, about.
-const REPORT: u64 = 5_000_000;
+const REPORT: u64 = 1_500_000;
 
 /// What the whole scan of a scene takes on this machine with the threads at hand.
 #[derive(Debug, Clone, PartialEq, Serialize)]
