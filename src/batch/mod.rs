@@ -5,6 +5,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod files;
+mod forecast;
 mod frames;
 mod journal;
 mod measure;
@@ -27,7 +28,10 @@ mod wave;
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
-pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
+pub use forecast::{Forecast, forecast};
+pub use peak_image::{
+    FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
+};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use planner::scene_plan;
 pub use render::{RenderSummary, render};
@@ -37,7 +41,8 @@ pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use wave::{
-    ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
+    ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,
+    wave_patch, wave_reference,
 };
 
 use crate::accel::Accel;

@@ -4,7 +4,7 @@
 use super::frames::Run;
 use super::journal::{Journal, RunKey};
 use super::report::Shown;
-use super::{Control, Coverage, Simulation, files};
+use super::{Control, Coverage, Simulation, files, forecast};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::chart::short;
@@ -102,6 +102,7 @@ pub fn scan(
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
     check_geometry(scene, options)?;
+    forecast::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
     let key = RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         accel: scene.accel.version(),
@@ -117,12 +118,10 @@ pub fn scan(
         true => Simulation::of_geometry(scene, control.hierarchy(scene)?)?,
         false => options.coverage.simulation(scene, control)?,
     };
-    let geometry_only = simulation.plan.geometry_only;
     let prepared = Instant::now();
 
     let run = Run {
         simulation: &simulation,
-        geometry_only,
         out,
         control,
         done: AtomicU64::new(kept.len() as u64),
@@ -161,7 +160,7 @@ pub fn scan(
 /// one starts `anew`. The manifest goes first: from here on the run is not complete.
 fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
     let (profiles, frames) = (out.join("profiles"), out.join("frames"));
-    files::create_folder(&profiles)?;
+    files::create_own_folder(&profiles)?;
     for name in [
         "manifest.json",
         "summary.json",
@@ -180,7 +179,7 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
         files::remove_all(&frames, "frame-")?;
     }
     if scene.write_frames {
-        files::create_folder(&frames)?;
+        files::create_own_folder(&frames)?;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
+use super::forecast;
 use super::measure::error_model;
 use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
@@ -92,6 +93,9 @@ impl<'s> Simulation<'s> {
         accel: Arc<Accel<'s>>,
         plan: Plan,
     ) -> Result<Simulation<'s>> {
+        if !plan.geometry_only {
+            forecast::require_images(scene, 1)?;
+        }
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };

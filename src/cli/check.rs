@@ -1,12 +1,14 @@
-use super::{Output, SceneArguments};
-use crate::batch;
+use super::{Output, STOP, SceneArguments, show};
+use crate::batch::{self, Control, Forecast};
 use crate::error::Result;
 use crate::inspect::chart::short;
 use crate::integrator::Plan;
 use crate::mesh::{self, MeshReport};
 use crate::scene::Scene;
+use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
 use std::fmt::Write;
+use std::time::Duration;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -19,13 +21,22 @@ struct Check<'a> {
     scene: &'a Scene,
     mesh: MeshReport,
     plan: Plan,
+    /// Of the whole scan.
+    forecast: Forecast,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
+    let building = output.share("of the hierarchy built");
+    let control = Control {
+        progress: &|_| {},
+        building: Some(&|share| show(&building, share)),
+        stop: &STOP,
+    };
     let check = Check {
         mesh: mesh::report(&scene.mesh),
         plan: batch::scene_plan(&scene)?,
+        forecast: batch::forecast(&scene, &control)?,
         scene: &scene,
     };
     output.result(&check, &text(&check))
@@ -88,5 +99,25 @@ fn text(check: &Check) -> String {
              camera.focus_distance_mm = {distance:.3}"
         );
     }
-    text
+    text + &whole_scan(&check.forecast)
+}
+
+/// What the whole scan takes.
+fn whole_scan(forecast: &Forecast) -> String {
+    let bytes = |bytes: u64| DecimalBytes(bytes).to_string();
+    let free = match forecast.memory_available_bytes {
+        Some(available) if forecast.fits() => format!(" ({} are free)", bytes(available)),
+        Some(available) => format!(": MORE THAN THE {} THAT ARE FREE", bytes(available)),
+        None => String::new(),
+    };
+    let time =
+        HumanDuration(Duration::try_from_secs_f64(forecast.seconds).unwrap_or(Duration::MAX));
+    format!(
+        "\n\nthe whole scan, about\n  frames              {}\n  memory              {}{free}\n  \
+         disk                {}\n  time                {time} with threads: {}",
+        forecast.frames,
+        bytes(forecast.memory_bytes),
+        bytes(forecast.disk_bytes),
+        forecast.threads
+    )
 }

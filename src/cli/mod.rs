@@ -7,16 +7,19 @@ mod check;
 mod peaks;
 mod render;
 mod scan;
+mod signals;
 mod speckle;
+mod threads;
 mod uncertainty;
 mod wave;
 
 use crate::accel::Backend;
 use crate::batch::Coverage;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -32,7 +35,7 @@ static STOP: AtomicBool = AtomicBool::new(false);
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Threads to use [default: all cores]
+    /// Threads to use, at most as many as the machine grants [default: all of them]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// No progress bar
@@ -151,8 +154,8 @@ impl Output {
     /// The result on stdout: `value` as JSON, or `text`.
     fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
         let text = match self.json {
-            true => serde_json::to_string(value).expect("results are JSON"),
-            false => text.trim_end().to_owned(),
+            true => printable::json(&serde_json::to_string(value).expect("results are JSON")),
+            false => printable::lines(text.trim_end()),
         };
         match writeln!(std::io::stdout(), "{text}") {
             // Who closes the pipe has read enough; what the files hold is whole.
@@ -174,39 +177,53 @@ fn show(bar: &ProgressBar, share: f64) {
 pub fn run() -> u8 {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => {
+        Err(error) if error.use_stderr() => {
+            // The same mistake of arguments that may be shown.
+            let shown = std::env::args_os().map(|text| printable::short(&text.to_string_lossy()));
+            let _ = Cli::try_parse_from(shown).err().unwrap_or(error).print();
+            return 64;
+        }
+        Err(help) => {
             // Help and version are no errors and go to stdout.
-            let _ = error.print();
-            return if error.use_stderr() { 64 } else { 0 };
+            let _ = help.print();
+            return 0;
         }
     };
-    match execute(cli) {
-        Ok(()) => 0,
-        Err(error) => {
-            // A closed stderr must not hide the exit code.
-            let _ = writeln!(std::io::stderr(), "lasertrace: {error}");
+    // The panic's own message is on stderr already.
+    match catch_unwind(AssertUnwindSafe(|| execute(cli))) {
+        Ok(Ok(())) => 0,
+        Ok(Err(error)) => {
+            complain(&error);
             error.exit_code()
+        }
+        Err(_) => {
+            say("this is a fault of the program; please report it with the lines above");
+            70
         }
     }
 }
 
+/// An error, on stderr.
+fn complain(error: &Error) {
+    say(&error.to_string());
+}
+
+/// A line on stderr.
+fn say(text: &str) {
+    // A closed stderr must not hide the exit code.
+    let _ = writeln!(std::io::stderr(), "lasertrace: {}", printable::line(text));
+}
+
 fn execute(cli: Cli) -> Result<()> {
-    ctrlc::set_handler(|| {
-        // The second time, at once.
-        if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(75);
-        }
-    })
-    .expect("no other handler is set");
+    signals::listen()?;
     let output = Output {
         quiet: cli.quiet,
         json: cli.json,
     };
-    let threads = cli.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Error::Usage(format!("cannot start {threads} threads: {error}")))?;
+    let (pool, cut) = threads::pool(cli.threads)?;
+    if let Some(cut) = cut.filter(|_| !cli.quiet) {
+        say(&cut);
+    }
     pool.install(|| match cli.command {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),

@@ -1,6 +1,7 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show};
 use crate::batch::{self, Control, ScanOptions};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::inspect::chart::short;
 use crate::inspect::formats::Format;
 use std::ops::Range;
@@ -88,14 +89,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let mut text = format!(
         "{deviation}\nopen the report:  {}\npoint cloud:      {}",
-        summary.report.display(),
-        summary.cloud.display()
+        path(&summary.report),
+        path(&summary.cloud)
     );
     if let Some(accuracy) = &summary.accuracy {
         text += &format!("\naccuracy:         {}", accuracy.statement);
     }
     for picture in &summary.pictures {
-        text += &format!("\npicture:          {}", picture.display());
+        text += &format!("\npicture:          {}", path(picture));
     }
     output.result(&summary, &text)
 }

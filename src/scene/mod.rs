@@ -11,4 +11,5 @@ mod resolve;
 pub use accuracy::PlanTable;
 pub use file::{Moves, SceneFile, Unit, schema};
 pub use path::{Motion, ScanPath};
+pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};

@@ -6,7 +6,7 @@ use super::locate::Source;
 use super::path::ScanPath;
 use crate::accel::Backend;
 use crate::camera::Camera;
-use crate::error::{Error, Result};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::{self, Mesh, Watch, shapes};
@@ -15,6 +15,7 @@ use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
 use sha2::{Digest, Sha256};
+use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
 use std::path::{Path, PathBuf};
 
 /// How speckle is modelled.
@@ -246,11 +247,7 @@ impl Resolver<'_> {
         let Some(name) = &file.measure.calibration else {
             return Ok((None, Vec::new()));
         };
-        let path = self.beside(name);
-        if !path.is_file() {
-            let expected = format!("a calibration; there is none at {}", path.display());
-            return Err(self.source.wrong("measure.calibration", &expected));
-        }
+        let path = self.file(name, "measure.calibration", "a calibration")?;
         let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
         let calibration = Calibration::parse(&path, &bytes)?;
         let [columns, rows] = camera.sensor.resolution.to_array();
@@ -262,9 +259,30 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
-    /// A path relative to the scene file.
-    pub(super) fn beside(&self, name: &str) -> PathBuf {
-        self.path.parent().unwrap_or(Path::new("")).join(name)
+    /// The file `key` names, relative to the scene file. Errors: there is none, or it is
+    /// no regular file, at the key; `Error::Io` where the system does not let it be found.
+    pub(super) fn file(&self, name: &str, key: &str, what: &str) -> Result<PathBuf> {
+        let file = self.path.parent().unwrap_or(Path::new("")).join(name);
+        let shown = printable::path(&file);
+        match file.metadata() {
+            Ok(kind) if kind.is_file() => Ok(file),
+            Ok(_) => {
+                // A pipe or a device may never end.
+                let expected = format!("{what}; {shown} is not a regular file");
+                Err(self.source.wrong(key, &expected))
+            }
+            // Of the last two are names that no file can have.
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    NotFound | NotADirectory | InvalidInput | InvalidFilename
+                ) =>
+            {
+                let expected = format!("{what}; there is none at {shown}");
+                Err(self.source.wrong(key, &expected))
+            }
+            Err(error) => Err(Error::io("read", &file)(error)),
+        }
     }
 
     /// The part's mesh, and the bytes that stand for a mesh file in the hash.
@@ -286,17 +304,19 @@ impl Resolver<'_> {
             Err(expected) => Err(self.source.wrong(key, &expected)),
         };
         if let Some(table) = &part.mesh {
-            let file = self.beside(&table.file);
-            if !file.exists() {
-                let expected = format!("a mesh file; there is none at {}", file.display());
-                return Err(self.source.wrong("part.mesh.file", &expected));
-            }
+            let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
             let bytes = mesh::read(&file, self.watch)?;
             let (mesh, hash) = rayon::join(
                 || mesh::parse(&file, &bytes, table.unit.mm()),
                 || Sha256::digest(&bytes).to_vec(),
             );
-            return Ok((mesh?, hash));
+            let mesh = mesh?;
+            if !mesh::has_area(&mesh) {
+                let found = format!("{} triangles, all without area", mesh.triangles.len());
+                let expected = "a mesh with a surface";
+                return Err(InputError::new(&file, Place::File, found, expected).into());
+            }
+            return Ok((mesh, hash));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane.size_mm", shapes::plane(table.size_mm.into()));
