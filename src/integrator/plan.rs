@@ -114,9 +114,9 @@ pub struct SpeckleStep {
 /// left out: what correlations of the patterns are good to.
 const CORRELATION_TOLERANCE: f64 = 0.01;
 
-/// Relative error of speckle contrast that sampling may cause: what the law of
-/// centroid noise is good to.
-const CONTRAST_TOLERANCE: f64 = 0.03;
+/// Relative error of speckle contrast that sampling may cause: what the pattern's own
+/// contrast is good to.
+const CONTRAST_TOLERANCE: f64 = 0.005;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
