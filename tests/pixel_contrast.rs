@@ -78,10 +78,10 @@ fn contrast(values: &[f64]) -> f64 {
 
 /// Pixels from a quarter of a grain to four grains, polarised light, light polarised in
 /// part and independent patterns. What the plan's samples make of the same grains is
-/// within 0.5 % of the contrast that 16 × 16 make. They differ by a part of each pixel,
-/// of standard deviation s = `sampling_deviation` by theory, which is independent
-/// from grain to grain: that moves the ratio by 2·s/√(grains) at five standard deviations
-/// of a sum of which half is along the contrast.
+/// within 0.5 % of the contrast that 16 × 16 make. The two differ by a part of each pixel,
+/// of relative standard deviation s by theory, which is as good as independent from
+/// grain to grain: to first order the ratio hangs on its covariance with the light, which
+/// strays by s/√(grains), of which five are allowed.
 #[test]
 fn the_plans_samples_keep_the_contrast() {
     let kinds = [
