@@ -36,7 +36,7 @@ pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart}
 pub use planner::scene_plan;
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
-pub use simulation::{Simulation, plan};
+pub use simulation::{Simulation, part_in_view};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};

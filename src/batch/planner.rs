@@ -17,12 +17,9 @@ use std::sync::Arc;
 
 const NAMED: &str = "named in [plan]";
 
-/// The plan of a scene as a run will follow it; with a tolerance builds the hierarchy.
+/// The plan of a scene as a run will follow it; builds the hierarchy.
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
-    match scene.tolerance_um {
-        None => Ok(told(&scene.methods, named(scene, plan(scene)))),
-        Some(_) => scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
-    }
+    scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?))
 }
 
 /// What others are measured against: every sample traced, at least twice as many as the
@@ -121,7 +118,7 @@ fn noise_method(plan: &Plan) -> &'static str {
 
 /// The same over a hierarchy that is there.
 pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
-    let base = plan(scene);
+    let base = plan(scene, accel);
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(told(&scene.methods, named(scene, base)));
     };

@@ -9,13 +9,14 @@ use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
+use crate::integrator::in_view::{InView, Optics};
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
 use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
+use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
-use crate::math::{Aabb, Rigid};
 use crate::mesh::Watch;
 use crate::profile::{Calibration, ErrorModel};
-use crate::scene::{Motion, Scene, SpeckleModel};
+use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::sync::Arc;
 
@@ -83,7 +84,7 @@ impl<'s> Simulation<'s> {
     }
 
     pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
-        let plan = geometry_only(plan(scene));
+        let plan = geometry_only(plan(scene, &accel));
         Simulation::with_plan(scene, Arc::new(accel), plan)
     }
 
@@ -204,28 +205,35 @@ fn camera_from_laser(scene: &Scene) -> Rigid {
     scene.head_from_camera.inverse() * scene.head_from_laser
 }
 
-/// The plan for a scene: with the head in the middle of its way, and on a path that
-/// turns or wanders at nine places along it, since there the middle stands for no
-/// other.
-pub fn plan(scene: &Scene) -> Plan {
-    let scan = &scene.scan;
-    let corners = scene.bounds().corners();
-    let places = match scan.motion {
-        Motion::Linear { .. } => 1,
-        _ => 9,
-    };
-    let boxes: Vec<Aabb> = (1..=places)
-        .map(|i| {
-            let frame = (scan.frames as u64 * i / (places + 1)) as u32;
-            let laser_from_part = (scene.part_from_head(frame) * scene.head_from_laser).inverse();
-            Aabb::of(corners.map(|c| laser_from_part.point(c)))
-        })
-        .collect();
+/// What of the part the laser lights and the camera sees along the path, in which of its
+/// frames; empty if never.
+pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
+    let part_from_laser = |frame| scene.part_from_head(frame) * scene.head_from_laser;
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    InView::along(&optics, accel, scene.scan.frames, part_from_laser)
+}
+
+fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
+    Optics {
+        laser: &scene.laser,
+        camera: &scene.camera,
+        camera_from_laser,
+    }
+}
+
+/// The plan for what the sensor sees of the part; where that is nothing, for all that it
+/// could see.
+pub(super) fn plan(scene: &Scene, accel: &Accel) -> Plan {
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    let mut places = part_in_view(scene, accel).places;
+    if places.is_empty() {
+        places = optics.overlap();
+    }
     Plan::new(
-        &scene.laser,
-        &scene.camera,
-        &camera_from_laser(scene),
-        &boxes,
+        &optics,
+        &places,
         exposure_motion(scene),
         scene.speckle.as_ref().map(|s| SpeckleOptics {
             method: s.method,

@@ -115,7 +115,7 @@ impl<'s> Tiers<'s> {
     /// All that this program can do; the full model first.
     pub fn all(scene: &'s Scene, accel: Accel<'s>) -> Result<Tiers<'s>> {
         let mut tiers = Tiers::none(scene, accel);
-        let base = super::plan(scene);
+        let base = super::simulation::plan(scene, &tiers.accel);
         let n = base.samples_per_side;
         let plan = scene_plan_with(scene, &tiers.accel)?;
         let most = full(&base, &plan);
@@ -374,7 +374,7 @@ pub struct Kept {
 pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     let mut tiers = Tiers::none(scene, hierarchy(scene, &|_| Ok(()))?);
     let plan = scene_plan_with(scene, &tiers.accel)?;
-    let most = full(&super::plan(scene), &plan);
+    let most = full(&super::simulation::plan(scene, &tiers.accel), &plan);
     tiers.add("full model", most, Coverage::Exhaustive)?;
     tiers.add("plan", plan.clone(), Coverage::Footprint)?;
     let [full, planned] = [0, 1].map(|i| {

@@ -92,8 +92,9 @@ fn light_that_is_cut_off_moves_a_line_by_less_than_predicted() {
 }
 
 fn plan() -> Plan {
+    use crate::integrator::in_view::Optics;
     use crate::laser::{Beam, Laser};
-    use crate::math::{Aabb, DVec3, Rigid};
+    use crate::math::{DVec3, Rigid};
     let laser = Laser {
         beam: Beam {
             wavelength: 660e-6,
@@ -108,12 +109,13 @@ fn plan() -> Plan {
     camera.lens.focus_distance = 100.0;
     camera.sensor.resolution = glam::UVec2::new(64, 64);
     camera.sensor.pixel_pitch = 0.01;
-    let part = Aabb {
-        min: DVec3::new(-1.0, -1.0, 99.0),
-        max: DVec3::new(1.0, 1.0, 101.0),
-    };
     let pose = Rigid::from_z_and_x(DVec3::ZERO, DVec3::Z, DVec3::X).unwrap();
-    Plan::new(&laser, &camera, &pose, &[part], None, None)
+    let optics = Optics {
+        laser: &laser,
+        camera: &camera,
+        camera_from_laser: &pose,
+    };
+    Plan::new(&optics, &[DVec3::Z * 99.0, DVec3::Z * 101.0], None, None)
 }
 
 /// With a tolerance that all keep, the cheapest plan is taken; with none that any keeps,

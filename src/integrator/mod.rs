@@ -8,6 +8,7 @@ mod direct;
 mod footprint;
 mod geometric;
 pub mod height_error;
+pub mod in_view;
 mod irradiance;
 mod lit;
 mod pixels;

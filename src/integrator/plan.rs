@@ -4,10 +4,9 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::in_view::Optics;
 use super::samples::sampling_error;
-use crate::camera::Camera;
-use crate::laser::Laser;
-use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
@@ -115,9 +114,9 @@ pub struct SpeckleStep {
 /// left out: what correlations of the patterns are good to.
 const CORRELATION_TOLERANCE: f64 = 0.01;
 
-/// Relative error of speckle contrast that sampling may cause: what the law of
-/// centroid noise is good to.
-const CONTRAST_TOLERANCE: f64 = 0.03;
+/// Relative error of speckle contrast that sampling may cause: what the pattern's own
+/// contrast is good to.
+const CONTRAST_TOLERANCE: f64 = 0.005;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
@@ -144,17 +143,20 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
 }
 
 impl Plan {
-    /// The plan for a part whose bounding boxes in the laser frame, along the path
-    /// of the scan, are `part_in_laser`; `exposure` is `None` if the speed is unknown.
+    /// The plan for light that falls on these `places` (laser frame, mm) along the path
+    /// of the scan; `exposure` is `None` if the speed is unknown.
     pub fn new(
-        laser: &Laser,
-        camera: &Camera,
-        camera_from_laser: &Rigid,
-        part_in_laser: &[Aabb],
+        optics: &Optics,
+        places: &[DVec3],
         exposure: Option<ExposureMotion>,
         speckle: Option<SpeckleOptics>,
     ) -> Plan {
-        let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
+        let &Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
+        let line = LineImage::over(optics, places);
         let pitch = camera.sensor.pixel_pitch;
         let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
         let airy_radius_px = 1.22 * speckle_size_px;
@@ -169,7 +171,7 @@ impl Plan {
             noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
-            cutoff_radii: cutoff_radii(laser, camera, part_in_laser),
+            cutoff_radii: cutoff_radii(laser, camera, places),
             line_half_width_px: line.half_width_px,
             speckle_size_px,
             defocus_blur_px: line.defocus_blur_px,
@@ -324,20 +326,13 @@ impl LineImage {
         )
     }
 
-    /// From 9 × 9 points of the laser plane within each of the part's boxes, those
-    /// that the sensor sees; from the first box's middle if it sees none.
-    fn over(
-        laser: &Laser,
-        camera: &Camera,
-        camera_from_laser: &Rigid,
-        parts: &[Aabb],
-    ) -> LineImage {
-        let resolution = camera.sensor.resolution.as_dvec2();
-        let seen = |p: DVec3| {
-            let pixel = camera.project(camera_from_laser.point(p))?;
-            let inside = pixel.cmpge(DVec2::ZERO).all() && pixel.cmple(resolution).all();
-            inside.then_some(pixel)
-        };
+    /// The image at these places of the laser's light; of one pixel where there is none.
+    fn over(optics: &Optics, places: &[DVec3]) -> LineImage {
+        let Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
@@ -345,21 +340,7 @@ impl LineImage {
             widest: 0.0,
             defocus: 0.0,
         };
-        let middle = parts[0]
-            .center()
-            .with_y(0.0)
-            .max(DVec3::new(f64::MIN, 0.0, 1e-3));
-        let grid = parts.iter().flat_map(|part| {
-            (0..81).map(|i| {
-                let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
-                (part.min + part.size() * share).with_y(0.0)
-            })
-        });
-        let mut points: Vec<DVec3> = grid.filter(|&p| p.z > 0.0 && seen(p).is_some()).collect();
-        if points.is_empty() {
-            points.push(middle);
-        }
-        for p in points {
+        for &p in places {
             let moved = |by: DVec3| {
                 let from = camera.project(camera_from_laser.point(p))?;
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())
