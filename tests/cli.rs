@@ -366,3 +366,24 @@ fn a_closed_pipe_is_no_error() {
     let (code, ..) = run(folder.path(), &["check", "scene.toml"]);
     assert_eq!(code, 0);
 }
+
+/// Made from the definition of the command line, so that they name every command.
+#[test]
+fn version_manual_and_completions_name_what_they_should() {
+    let folder = folder_with("");
+    let print = |arguments: &[&str]| {
+        let (code, text, _) = run(folder.path(), arguments);
+        assert_eq!(code, 0, "{arguments:?}");
+        text
+    };
+    let version = print(&["--version"]);
+    assert!(version.contains(env!("CARGO_PKG_VERSION")), "{version}");
+    assert!(version.contains("Embree ") || version.contains("obvhs "));
+    for shell in ["bash", "zsh", "fish"] {
+        let completions = print(&["completions", shell]);
+        assert!(completions.contains("scan") && completions.contains("geometry-only"));
+    }
+    assert!(print(&["man"]).contains(".TH lasertrace"));
+    assert!(print(&["man", "scan"]).contains("resume"));
+    assert_error(folder.path(), &["man", "scam"], 64, &["scam"]);
+}

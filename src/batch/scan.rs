@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
@@ -66,6 +66,8 @@ struct Manifest<'a> {
     coverage: Coverage,
     plan: &'a Plan,
     threads: usize,
+    /// When the run ended, UTC.
+    date: String,
     seconds_prepare: f64,
     seconds_frames: f64,
     seconds_report: f64,
@@ -148,6 +150,7 @@ pub fn scan(
         coverage: options.coverage,
         plan: &simulation.plan,
         threads: rayon::current_num_threads(),
+        date: date(),
         seconds_prepare: (prepared - start).as_secs_f64(),
         seconds_frames: (measured - prepared).as_secs_f64(),
         seconds_report: measured.elapsed().as_secs_f64(),
@@ -303,6 +306,11 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     )))
 }
 
+/// Of now, in UTC.
+fn date() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
+
 /// What the report says of the run.
 fn run_table(
     key: &RunKey,
@@ -313,6 +321,7 @@ fn run_table(
     let rate = (key.frames.len() - kept) as f64 / taking.as_secs_f64();
     let seconds = |duration: Duration| format!("{} s", short(duration.as_secs_f64()));
     vec![
+        ("date", date()),
         ("lasertrace", key.version.clone()),
         ("intersection", key.accel.clone()),
         ("scene", format!("SHA-256 {}", key.scene_sha256)),

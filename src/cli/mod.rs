@@ -4,6 +4,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
+mod manual;
 mod peaks;
 mod render;
 mod scan;
@@ -21,13 +22,14 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
 #[derive(Parser)]
 #[command(
-    version,
+    version = version(),
     about,
     after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
     70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again."
@@ -70,6 +72,19 @@ enum Command {
     BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
+    /// Print what a shell needs to complete commands and options
+    Completions(manual::Completions),
+    /// Print the manual page of the program or of a command
+    Man(manual::Man),
+}
+
+/// Of the program, and of what finds the triangles that rays meet.
+fn version() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        let program = env!("CARGO_PKG_VERSION");
+        format!("{program} ({})", Backend::default().version())
+    });
+    &VERSION
 }
 
 /// A scene file and what may be changed about it on the command line.
@@ -235,6 +250,8 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
+        Command::Completions(arguments) => manual::completions(arguments, &output),
+        Command::Man(arguments) => manual::man(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -4,6 +4,7 @@ mod accuracy;
 mod file;
 mod locate;
 mod optics;
+mod part;
 mod path;
 mod poses;
 mod resolve;

@@ -51,6 +51,8 @@ pub struct Scene {
     pub tolerance_um: Option<f64>,
     /// Methods the scene names.
     pub methods: PlanTable,
+    /// The part in words: the mesh file and its unit, or the shape and its size.
+    pub part: String,
     #[serde(skip)]
     pub mesh: Mesh,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
@@ -169,6 +171,7 @@ impl Resolver<'_> {
 
     fn scene(self, file: SceneFile) -> Result<Scene> {
         let (mesh, mesh_hash) = self.mesh(&file.part)?;
+        let part = file.part.in_words();
         let (copies, copies_hash) = match &file.part.copies {
             None => (vec![Rigid::IDENTITY], Vec::new()),
             Some(file) => {
@@ -219,6 +222,7 @@ impl Resolver<'_> {
             accel: methods.accel.unwrap_or_default(),
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
+            part,
             mesh,
             copies,
             surface: Lambert { reflectance },
