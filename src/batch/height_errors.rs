@@ -173,14 +173,15 @@ mod tests {
     #[test]
     fn a_share_of_few_or_of_all_points() {
         let size = |i: usize| (i % 7) as f64;
-        let some = HeightErrors::from_parts(
-            (0..300).map(|i| vec![size(i)]).collect(),
-        );
+        let some = HeightErrors::from_parts((0..300).map(|i| vec![size(i)]).collect());
         let z2 = CONFIDENCE_SIGMAS.powi(2);
         let limit = some.share_at_most(10.0, 1.0) - z2 / (300.0 + z2);
         assert!(limit >= -1e-12 && limit < 1e-3, "{limit}");
         let share = some.share_beyond(5.0);
         assert!((some.share_at_most(5.0, 0.0) - share).abs() < 1e-4);
-        assert_eq!(HeightErrors::from_parts(Vec::new()).share_at_most(1.0, 1.0), 1.0);
+        assert_eq!(
+            HeightErrors::from_parts(Vec::new()).share_at_most(1.0, 1.0),
+            1.0
+        );
     }
 }

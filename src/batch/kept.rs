@@ -37,7 +37,11 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     let seen = seen.unwrap_or_default();
     let unseen = frames.iter().copied().filter(|frame| !seen.contains(frame));
     let unseen: Vec<u32> = unseen.collect();
-    let frames = if unseen.is_empty() { frames.to_vec() } else { unseen };
+    let frames = if unseen.is_empty() {
+        frames.to_vec()
+    } else {
+        unseen
+    };
     let clusters = Arc::new(Clusters::new(&scene.mesh));
     let most = full(&base, &plan);
     let [full, without, planned] = [&most, &base, &plan].map(|plan| {

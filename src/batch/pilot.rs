@@ -14,9 +14,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Parts that are looked at, of different frames as far as there are any.
-const STRIPS: u32 = 48;
-/// Columns of one: so many to either side decide how wide a line is taken to be.
+/// Columns of one at most: so many to either side decide how wide a line is taken to be.
 const COLUMNS: usize = 64;
 /// Frames, for each that is looked at, in which a line is looked for.
 const FRAMES_ASKED: u32 = 4;
@@ -47,30 +45,31 @@ pub(super) fn spread_frames(frames: u32, wanted: u32) -> Vec<u32> {
     (0..wanted).map(middle).collect()
 }
 
-/// Strips of the frames in which something may be lit, each at a place of its own among the
-/// lit columns; and the share of all lit columns that these leave out.
-fn strips(full: &Simulation) -> (Vec<Strip>, f64) {
+/// About `wanted` strips, of different frames as far as something is lit in as many, each a
+/// cell of the lit columns; and the share of all lit columns that these leave out.
+fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
     let frames = full.scene.scan.frames;
-    let asked = spread_frames(frames, FRAMES_ASKED * STRIPS);
+    let asked = spread_frames(frames, FRAMES_ASKED * wanted);
     let lit = |&frame: &u32| Some((frame, full.lit_columns(frame)?));
     let lit: Vec<(u32, Range<usize>)> = asked.par_iter().filter_map(lit).collect();
     let columns: usize = lit.iter().map(|(_, columns)| columns.len()).sum();
     let all = columns as f64 * frames as f64 / asked.len() as f64;
-    let chosen = spread_frames(lit.len() as u32, STRIPS);
-    let each = (STRIPS as usize).div_ceil(chosen.len().max(1));
+    let chosen = spread_frames(lit.len() as u32, wanted);
+    let each = (wanted as usize).div_ceil(chosen.len().max(1));
     let mut strips = Vec::new();
     for (i, frame) in chosen.into_iter().enumerate() {
         let (frame, lit) = &lit[frame as usize];
-        let each = each.min(lit.len() / COLUMNS).max(1);
-        let cell = lit.len() as f64 / each as f64;
-        let room = (cell - COLUMNS as f64).max(0.0);
+        // Whole cells, so that columns at the ends of the line are as likely as others.
+        let cells = lit.len().div_ceil(COLUMNS);
+        let each = each.min(cells);
+        let edge = |cell: usize| lit.start + cell * lit.len() / cells;
+        // Multiples of the golden ratio lie evenly at any number of them.
+        let first = ((i as f64 * 0.618_034).fract() * cells as f64) as usize;
         for k in 0..each {
-            // Multiples of the golden ratio lie evenly at any number of them.
-            let place = ((i * each + k) as f64 * 0.618_034).fract();
-            let start = lit.start + (k as f64 * cell + place * room) as usize;
+            let cell = (first + k * cells / each) % cells;
             strips.push(Strip {
                 frame: *frame,
-                columns: start..(start + COLUMNS).min(lit.end),
+                columns: edge(cell)..edge(cell + 1),
             });
         }
     }
@@ -79,9 +78,9 @@ fn strips(full: &Simulation) -> (Vec<Strip>, f64) {
 }
 
 impl<'s> Looked<'s> {
-    /// At the frames of a simulation by the full model.
-    pub fn new(full: Simulation<'s>) -> Looked<'s> {
-        let (strips, left) = strips(&full);
+    /// At about so many strips of a simulation by the full model.
+    pub fn new(full: Simulation<'s>, wanted: u32) -> Looked<'s> {
+        let (strips, left) = strips(&full, wanted);
         let truth = strips.par_iter().map(|strip| strip.peaks(&full)).collect();
         Looked {
             full,

@@ -32,6 +32,8 @@ pub struct Accuracy {
     pub sufficient: bool,
     /// Predicted time of one frame on one core, ms.
     pub cost_ms: f64,
+    /// The same of the scene without a tolerance.
+    pub cost_without_ms: f64,
     /// Frames looked at for it, and the points in their parts that were.
     pub pilot_frames: Vec<u32>,
     pub pilot_points: usize,
@@ -162,6 +164,9 @@ impl Accuracy {
         );
         let verdict = match self.sufficient {
             true => "",
+            false if self.predicted_share <= PROMISED_SHARE => {
+                "; so few points cannot say that at most 1 % are, and no method here does better"
+            }
             false => "; no method here does better, and it is not enough",
         };
         let unsettled = match self.unsettled_share > PROMISED_SHARE {

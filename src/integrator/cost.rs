@@ -50,7 +50,10 @@ impl Pilot {
     fn looked_at(&self, plan: &Plan) -> f64 {
         let of = |(radii, _): &&(f64, f64)| *radii >= plan.cutoff_radii;
         let widest = self.looked_at.last().map_or(0.0, |(_, pixels)| *pixels);
-        self.looked_at.iter().find(of).map_or(widest, |(_, pixels)| *pixels)
+        self.looked_at
+            .iter()
+            .find(of)
+            .map_or(widest, |(_, pixels)| *pixels)
     }
 
     /// Predicted time of one frame on one core, ms, from the counts of what it does

@@ -1,7 +1,7 @@
 //! Errors of height that are random and independent from point to point.
 
 /// Of normal numbers 99 of 100 are within so many standard deviations.
-const SIGMAS_OF_99: f64 = 2.575_829;
+pub const SIGMAS_OF_99: f64 = 2.575_829;
 
 /// Share of points that may be further off than is said.
 pub const PROMISED_SHARE: f64 = 0.01;
