@@ -7,7 +7,9 @@ mod chart;
 mod files;
 mod forecast;
 mod frames;
+mod height_errors;
 mod journal;
+mod kept;
 mod measure;
 mod peak_image;
 mod peaks;
@@ -17,6 +19,7 @@ mod render;
 mod report;
 mod scan;
 mod scan_speckle;
+mod search;
 mod simulation;
 mod speckle;
 mod synthetic;
@@ -29,6 +32,8 @@ pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
 pub use forecast::{Forecast, forecast};
+pub use height_errors::HeightErrors;
+pub use kept::{Kept, keeps_word};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
@@ -38,7 +43,6 @@ pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, part_in_view};
 pub use speckle::{Grain, SpeckleSummary, speckle};
-pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use wave::{
     ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,

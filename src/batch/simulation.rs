@@ -11,13 +11,16 @@ use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
 use crate::integrator::in_view::{InView, Optics};
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
+use crate::integrator::{
+    Irradiance, Plan, Sheet, View, footprint_image, irradiance_image, lit_columns, strip_image,
+};
 use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::Watch;
-use crate::profile::{Calibration, ErrorModel};
+use crate::profile::{Calibration, ErrorModel, Peak};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
+use std::ops::Range;
 use std::sync::Arc;
 
 pub struct Simulation<'s> {
@@ -26,7 +29,7 @@ pub struct Simulation<'s> {
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
-    speckle: Option<ScanSpeckle>,
+    speckle: Option<Arc<ScanSpeckle>>,
     /// `None`: every sample is traced.
     clusters: Option<Arc<Clusters>>,
     /// The scene's, without noise if the plan leaves it out.
@@ -100,14 +103,40 @@ impl<'s> Simulation<'s> {
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };
-                Some(ScanSpeckle::new(scene, &model, plan.speckle_slips)?)
+                let patterns = ScanSpeckle::new(scene, &model, plan.speckle_slips)?;
+                Some(Arc::new(patterns))
             }
             _ => None,
         };
+        Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+    }
+
+    /// The same done by another plan; patterns of speckle are shared where both have the
+    /// same.
+    pub(super) fn otherwise(&self, plan: Plan) -> Result<Simulation<'s>> {
+        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips);
+        let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
+            let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
+            Simulation::with_patterns(self.scene, self.accel.clone(), plan, shared)
+        } else {
+            Simulation::with_plan(self.scene, self.accel.clone(), plan)?
+        };
+        Ok(Simulation {
+            clusters: self.clusters.clone(),
+            ..other
+        })
+    }
+
+    fn with_patterns(
+        scene: &'s Scene,
+        accel: Arc<Accel<'s>>,
+        plan: Plan,
+        speckle: Option<Arc<ScanSpeckle>>,
+    ) -> Simulation<'s> {
         let mut sensor = scene.camera.sensor.clone();
         sensor.noise = sensor.noise.filter(|_| plan.noise);
         let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
-        Ok(Simulation {
+        Simulation {
             scene,
             accel,
             calibration: scene
@@ -126,12 +155,12 @@ impl<'s> Simulation<'s> {
                 .filter(|_| plan.geometry_only)
                 .map(sheet),
             plan,
-        })
+        }
     }
 
     /// Bytes of the patterns of speckle.
     pub(super) fn speckle_memory(&self) -> usize {
-        self.speckle.as_ref().map_or(0, ScanSpeckle::memory)
+        self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
     }
 
     pub fn view(&self, frame: u32) -> View<'_> {
@@ -158,15 +187,36 @@ impl<'s> Simulation<'s> {
 
     /// The light on the sensor in a frame, the mean over the poses of its exposure.
     pub fn irradiance(&self, frame: u32) -> Irradiance {
-        let image = |place| {
-            let view = self.view_at(place);
-            match &self.clusters {
-                Some(clusters) => footprint_image(&view, clusters),
-                None => irradiance_image(&view),
-            }
-        };
+        self.mean(frame, |view| match &self.clusters {
+            Some(clusters) => footprint_image(view, clusters),
+            None => irradiance_image(view),
+        })
+    }
+
+    /// The same in these columns alone, and dark elsewhere; of one that traces the
+    /// footprint.
+    pub(super) fn strip(&self, frame: u32, columns: &Range<usize>) -> Irradiance {
+        let clusters = self.clusters.as_ref().expect("it traces the footprint");
+        self.mean(frame, |view| strip_image(view, clusters, columns))
+    }
+
+    /// From the first column that may be lit in a frame to the last.
+    pub(super) fn lit_columns(&self, frame: u32) -> Option<Range<usize>> {
+        lit_columns(&self.view(frame), self.clusters.as_ref()?)
+    }
+
+    fn mean(&self, frame: u32, image: impl Fn(&View) -> Irradiance) -> Irradiance {
         let places = self.scene.scan.exposure_places(frame);
-        Irradiance::mean(places.map(image).collect())
+        let images = places.map(|place| image(&self.view_at(place)));
+        Irradiance::mean(images.collect())
+    }
+
+    /// The lines of a frame, from its image or, if the plan takes none, from geometry.
+    pub(super) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
+        match self.plan.geometry_only {
+            true => self.geometric_peaks(frame).0,
+            false => self.peaks(&self.counts(frame, &self.irradiance(frame))).0,
+        }
     }
 
     /// What the sensor makes of the light.

@@ -17,6 +17,7 @@ use crate::laser::Laser;
 use crate::math::{DVec2, Rigid};
 use crate::surface::Lambert;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Everything one frame depends on, in the part's frame.
 pub struct View<'a> {
@@ -65,6 +66,20 @@ pub fn irradiance_image(view: &View) -> Irradiance {
 pub fn footprint_image(view: &View, clusters: &Clusters) -> Irradiance {
     let sight = Sight::new(view.camera, &view.part_from_camera);
     trace(view, &sight, footprint(view, &sight, clusters))
+}
+
+/// [`footprint_image`] of these columns alone: the same values there.
+pub fn strip_image(view: &View, clusters: &Clusters, columns: &Range<usize>) -> Irradiance {
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    let mut pixels = footprint(view, &sight, clusters);
+    pixels.keep_columns(columns);
+    trace(view, &sight, pixels)
+}
+
+/// From the first column that may see lit surface to the last.
+pub fn lit_columns(view: &View, clusters: &Clusters) -> Option<Range<usize>> {
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    footprint(view, &sight, clusters).span()
 }
 
 /// Bands of a task: enough that two more at its ends cost little, and few enough

@@ -20,7 +20,7 @@ mod speckle;
 mod truth;
 mod window;
 
-pub use direct::{Sampling, View, footprint_image, irradiance_image};
+pub use direct::{Sampling, View, footprint_image, irradiance_image, lit_columns, strip_image};
 pub use geometric::{LinePoint, Sheet};
 pub use irradiance::Irradiance;
 pub use plan::Plan;
