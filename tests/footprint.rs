@@ -161,7 +161,7 @@ impl<'m> Part<'m> {
                     },
                     slip: None,
                 },
-                map: self.fields.map(0.012, DVec2::new(1e-4, -2e-4)),
+                map: self.fields.map(2e-4, 60.0),
                 displacement: DVec2::new(0.3, -7.0),
             }),
             samples_per_side: setup.samples_per_side,

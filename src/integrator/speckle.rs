@@ -1,6 +1,6 @@
 //! The speckle of one frame, and how its samples read it.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, ChiefRays};
 use crate::math::DVec2;
 use crate::speckle::coordinate::{Coordinate, GrainMap};
 use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, SlippingField};
@@ -13,8 +13,8 @@ use wide::f32x4;
 pub struct Speckle<'a> {
     pub patterns: Patterns<'a>,
     pub map: GrainMap,
-    /// a_I of the seed: displacement on the sensor at which the pattern is read,
-    /// (columns, rows), mm.
+    /// a_I of the seed: displacement in the middle of an untilted sensor at which the
+    /// pattern is read, (columns, rows), mm.
     pub displacement: DVec2,
 }
 
@@ -50,12 +50,10 @@ pub struct Slip {
 
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
-    camera: &'a Camera,
+    rays: ChiefRays,
     map: GrainMap,
+    /// Texels.
     displacement: DVec2,
-    /// (s, t) of the sensor's corner and texels by column and by row, where these are
-    /// the same all over the sensor.
-    even: Option<(DVec2, [DVec2; 2])>,
     source: Source<'a>,
 }
 
@@ -75,7 +73,7 @@ enum Source<'a> {
 }
 
 impl<'a> Reader<'a> {
-    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera) -> Reader<'a> {
+    pub fn new(speckle: &Speckle<'a>, camera: &Camera) -> Reader<'a> {
         let Speckle {
             patterns,
             map,
@@ -106,13 +104,10 @@ impl<'a> Reader<'a> {
                 focus: Focus::new(camera),
             },
         };
-        let step = |mm: DVec2| map.displacement(mm * camera.sensor.pixel_pitch);
-        let corner = map.position(camera.screen(DVec2::ZERO), displacement);
         Reader {
-            camera,
+            rays: camera.model().chief_rays(),
             map,
-            displacement,
-            even: (map.is_even()).then(|| (corner, [DVec2::X, DVec2::Y].map(step))),
+            displacement: map.displacement(displacement),
             source,
         }
     }
@@ -148,21 +143,15 @@ impl<'a> Reader<'a> {
     /// (s, t) of a place on the sensor.
     #[inline(always)]
     fn at(&self, place: DVec2) -> DVec2 {
-        if let Some((corner, [by_column, by_row])) = self.even {
-            return corner + by_column * place.x + by_row * place.y;
-        }
-        let screen = self.camera.screen(place);
-        self.map.position(screen, self.displacement)
+        self.displacement + self.map.texels(self.rays.cosines(place))
     }
 
     /// For reading within the pixel around `centre`.
     #[inline(always)]
     pub fn pixel(&self, centre: DVec2) -> PixelReader<'_> {
-        let at = self.at(centre);
-        let steps = match self.even {
-            Some((_, steps)) => steps,
-            None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
-        };
+        let (cosines, slopes) = self.rays.around(centre);
+        let at = self.displacement + self.map.texels(cosines);
+        let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
         let extent = steps[0].abs() + steps[1].abs();
         PixelReader {
             reader: self,
