@@ -88,14 +88,14 @@ impl ScanSpeckle {
     /// `strips`: whether the surface moves otherwise from place to place.
     pub fn new(scene: &Scene, model: &SpeckleModel, strips: bool) -> Result<ScanSpeckle> {
         let wavelength = scene.laser.beam.wavelength;
-        let grain = scene.camera.speckle_size(wavelength);
-        let gradient = scene.camera.speckle_size_gradient(wavelength);
+        let grain = scene.camera.speckle_angle(wavelength);
+        let distance = scene.camera.lens.image_distance();
         let anchor = anchor(scene, strips);
         let (source, map) = match model.method {
             Method::Field => {
                 let spec = field_spec(scene.seed, model.aperture);
                 let fields = FrameFields::new(&spec, model.coherence)?;
-                let map = fields.map(grain, gradient);
+                let map = fields.map(grain, distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
             Method::Trilinear | Method::Prefiltered { .. } => {
@@ -104,7 +104,7 @@ impl ScanSpeckle {
                     lookup: Lookup::new(&spec, model.method, model.coherence)?,
                     per_pixel: model.method != Method::Trilinear,
                 };
-                let map = GrainMap::new(spec.texels_per_speckle, grain, gradient);
+                let map = GrainMap::new(spec.texels_per_speckle, grain, distance);
                 (source, map)
             }
         };

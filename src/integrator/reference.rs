@@ -1,9 +1,10 @@
 //! Where a sample's light was seen in another pose of the path.
 
 use super::lit::{Light, Plane};
-use crate::camera::{Camera, CameraModel, Projector};
+use crate::camera::Camera;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
+use crate::speckle::coordinate::GrainMap;
 use crate::speckle::motion::{Motion, Source, SurfaceView, shift_on_pupil};
 use crate::speckle::strips::Strip;
 
@@ -50,29 +51,27 @@ impl Seen {
 
 /// Finds where strips are to be read.
 pub(super) struct References {
-    /// Without its distortion, which moves what is seen then and now alike.
-    camera: CameraModel,
-    projector: Projector,
     focal_length: f64,
     /// From the lens to the sensor's pixel (0, 0), and by column and row.
     corner: DVec3,
     steps: [DVec3; 2],
     view: SurfaceView,
-    /// Where the part was, its turn since then, and what to add.
-    strips: [(Rigid, Motion, DVec2); 2],
+    /// Where the part was, and its turn since then.
+    strips: [(Rigid, Motion); 2],
+    /// Texels to add.
+    pub offsets: [DVec2; 2],
     camera_from_laser: Rigid,
 }
 
 impl References {
-    pub fn new(strips: &Strips, camera: &Camera, camera_from_laser: Rigid) -> References {
+    pub fn new(
+        strips: &Strips,
+        map: GrainMap,
+        camera: &Camera,
+        camera_from_laser: Rigid,
+    ) -> References {
         let at = |x: f64, y: f64| camera.sensor_point(DVec2::new(x, y));
-        let pinhole = CameraModel {
-            distortion: None,
-            ..camera.model()
-        };
         References {
-            camera: pinhole,
-            projector: pinhole.projector(),
             focal_length: camera.lens.focal_length,
             corner: at(0.0, 0.0),
             steps: [at(1.0, 0.0), at(0.0, 1.0)].map(|next| next - at(0.0, 0.0)),
@@ -83,28 +82,30 @@ impl References {
                     rotation: rotation_vector(&now_from_then.rotation),
                     ..Motion::default()
                 };
-                (reference.then_from_now, motion, reference.displacement)
+                (reference.then_from_now, motion)
             }),
+            offsets: (strips.strips).map(|reference| map.displacement(reference.displacement)),
             camera_from_laser,
         }
     }
 
-    /// For each strip, where on the sensor (mm) the surface point was seen in the
+    /// For each strip, the direction cosines under which the surface point was seen in the
     /// strip's reference whose light now reaches `place` through the strip's middle.
     ///
     /// That middle has shifted since by A_p, which is that of the very point: of its
     /// own way, normal, viewing ray and light. The point that the chief ray meets lies
     /// 1 − L_o/L_f of the way to a point of the pupil beside the one whose light comes
     /// through that; beyond ±1 the blur is wider than the pupil and the formula is out of
-    /// its domain.
-    pub fn screens(&self, place: DVec2, seen: Seen) -> [DVec2; 2] {
+    /// its domain. The lens's distortion turns the rays behind it against those before it;
+    /// points are taken to lie, now and then, where the rays behind it point.
+    pub fn cosines(&self, place: DVec2, seen: Seen) -> [DVec2; 2] {
         let [by_column, by_row] = self.steps;
         let behind = self.corner + by_column * place.x + by_row * place.y;
         let point = behind * (seen.depth / behind.z);
         let normal = self.camera_from_laser.vector(seen.normal);
         let focused_on = 1.0 / self.focal_length - 1.0 / behind.z;
         let aside = (1.0 - focused_on * seen.depth).clamp(-1.0, 1.0);
-        self.strips.map(|(then_from_now, motion, displacement)| {
+        self.strips.map(|(then_from_now, motion)| {
             let mut from = point;
             if aside != 0.0 {
                 // The shift is that of the point sought. It changes from there to here by
@@ -114,8 +115,7 @@ impl References {
                     from = point + shift * (aside * self.view.pupil_diameter);
                 }
             }
-            let then = self.projector.project(then_from_now.point(from));
-            self.camera.screen(then.unwrap_or(place)) + displacement
+            then_from_now.point(from).normalize_or_zero().truncate()
         })
     }
 

@@ -1,7 +1,7 @@
 //! The speckle of one frame, and how its samples read it.
 
 use super::reference::{References, Seen, Strips};
-use crate::camera::Camera;
+use crate::camera::{Camera, ChiefRays};
 use crate::math::{DVec2, Rigid};
 use crate::speckle::coordinate::{Coordinate, GrainMap};
 use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace};
@@ -15,8 +15,8 @@ use wide::f32x4;
 pub struct Speckle<'a> {
     pub patterns: Patterns<'a>,
     pub map: GrainMap,
-    /// a_I of the seed: displacement on the sensor at which the pattern is read,
-    /// (columns, rows), mm.
+    /// a_I of the seed: displacement in the middle of an untilted sensor at which the
+    /// pattern is read, (columns, rows), mm.
     pub displacement: DVec2,
 }
 
@@ -45,12 +45,10 @@ pub enum Patterns<'a> {
 
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
-    camera: &'a Camera,
+    rays: ChiefRays,
     map: GrainMap,
+    /// Texels.
     displacement: DVec2,
-    /// (s, t) of the sensor's corner and texels by column and by row, where these are
-    /// the same all over the sensor.
-    even: Option<(DVec2, [DVec2; 2])>,
     source: Source<'a>,
 }
 
@@ -68,7 +66,7 @@ enum Source<'a> {
 }
 
 impl<'a> Reader<'a> {
-    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera, camera_from_laser: Rigid) -> Reader<'a> {
+    pub fn new(speckle: &Speckle<'a>, camera: &Camera, camera_from_laser: Rigid) -> Reader<'a> {
         let Speckle {
             patterns,
             map,
@@ -89,17 +87,14 @@ impl<'a> Reader<'a> {
                 let both = strips.strips.map(|reference| reference.strip);
                 Source::Strips {
                     field: Box::new(fields.strips(strips.pupil, strips.along, &both)),
-                    references: Box::new(References::new(&strips, camera, camera_from_laser)),
+                    references: Box::new(References::new(&strips, map, camera, camera_from_laser)),
                 }
             }
         };
-        let step = |mm: DVec2| map.displacement(mm * camera.sensor.pixel_pitch);
-        let corner = map.position(camera.screen(DVec2::ZERO), displacement);
         Reader {
-            camera,
+            rays: camera.model().chief_rays(),
             map,
-            displacement,
-            even: (map.is_even()).then(|| (corner, [DVec2::X, DVec2::Y].map(step))),
+            displacement: map.displacement(displacement),
             source,
         }
     }
@@ -110,8 +105,9 @@ impl<'a> Reader<'a> {
         let intensity = match &self.source {
             Source::Frame(field) => field.intensity(at),
             Source::Strips { field, references } => {
-                let screens = references.screens(place, seen);
-                field.intensity(screens.map(|screen| self.map.position(screen, DVec2::ZERO)))
+                let cosines = references.cosines(place, seen);
+                let texels = |i: usize| self.map.texels(cosines[i]) + references.offsets[i];
+                field.intensity([texels(0), texels(1)])
             }
             &Source::Ring {
                 lookup,
@@ -135,21 +131,15 @@ impl<'a> Reader<'a> {
     /// (s, t) of a place on the sensor.
     #[inline(always)]
     fn at(&self, place: DVec2) -> DVec2 {
-        if let Some((corner, [by_column, by_row])) = self.even {
-            return corner + by_column * place.x + by_row * place.y;
-        }
-        let screen = self.camera.screen(place);
-        self.map.position(screen, self.displacement)
+        self.displacement + self.map.texels(self.rays.cosines(place))
     }
 
     /// For reading within the pixel around `centre`.
     #[inline(always)]
     pub fn pixel(&self, centre: DVec2) -> PixelReader<'_> {
-        let at = self.at(centre);
-        let steps = match self.even {
-            Some((_, steps)) => steps,
-            None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
-        };
+        let (cosines, slopes) = self.rays.around(centre);
+        let at = self.displacement + self.map.texels(cosines);
+        let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
         let extent = steps[0].abs() + steps[1].abs();
         PixelReader {
             reader: self,

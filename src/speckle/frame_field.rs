@@ -86,8 +86,8 @@ impl FrameFields {
     }
 
     /// How fields lie over a sensor; as [`GrainMap::new`].
-    pub fn map(&self, grain_mm: f64, gradient: DVec2) -> GrainMap {
-        GrainMap::new(self.spec.texels_per_speckle, grain_mm, gradient).turned(TURN)
+    pub fn map(&self, grain: f64, image_distance: f64) -> GrainMap {
+        GrainMap::new(self.spec.texels_per_speckle, grain, image_distance).turned(TURN)
     }
 
     /// Bytes of a field.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::speckle::motion::{overlap_correlation, overlap_correlation_defocused};
+use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::pattern::Aperture;
 use rustfft::num_complex::Complex64;
 use std::f64::consts::TAU;
@@ -216,7 +216,7 @@ fn grains_have_the_size_and_shape_of_the_pupils() {
             let spec = field_spec(seed, aperture);
             let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
             let field = fields.field(&place(0.0, 0.3 * seed as f64, 0.0));
-            let map = fields.map(1.0, DVec2::ZERO);
+            let map = fields.map(1.0, 1.0);
             let read = |at: DVec2| field.intensity(map.displacement(at)) as f64 - 1.0;
             for (sum, lag) in sums.iter_mut().zip(lags) {
                 // Places a grain apart over the period, which lie within texels anyhow.
