@@ -178,7 +178,8 @@ impl<'s> Simulation<'s> {
             part_from_laser: part_from_head * scene.head_from_laser,
             camera: &scene.camera,
             part_from_camera: part_from_head * scene.head_from_camera,
-            speckle: self.speckle.as_ref().map(|p| p.at(place, &part_from_head)),
+            speckle: (self.speckle.as_ref())
+                .map(|speckle| speckle.at(scene, place, &part_from_head)),
             samples_per_side: self.plan.samples_per_side,
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,

@@ -14,6 +14,7 @@ mod lit;
 mod pixels;
 pub mod plan;
 mod polygon;
+mod reference;
 mod samples;
 mod sight;
 mod speckle;
@@ -24,5 +25,6 @@ pub use direct::{Sampling, View, footprint_image, irradiance_image, lit_columns,
 pub use geometric::{LinePoint, Sheet};
 pub use irradiance::Irradiance;
 pub use plan::Plan;
-pub use speckle::{Patterns, Slip, Speckle};
+pub use reference::{Reference, Strips};
+pub use speckle::{Patterns, Speckle};
 pub use truth::{Truth, truth_layers};

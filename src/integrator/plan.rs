@@ -108,6 +108,8 @@ pub struct SpeckleStep {
     /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains; `None`
     /// if it cannot be modelled.
     pub slip_grains: Option<f64>,
+    /// Greatest way by which places of the view move otherwise than its middle, grains.
+    pub turn_grains: f64,
 }
 
 /// Error of the correlation of neighbouring frames up to which the pattern's slip is
@@ -303,7 +305,7 @@ impl LineImage {
         let step = &optics.step;
         // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
         let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
-        let slip = step.slip_grains.map(|grains| grains * self.defocus);
+        let slip = (step.slip_grains).map(|grains| grains * self.defocus + step.turn_grains);
         let error = slip.map_or(0.0, |grains| {
             let kept = optics.aperture.field_correlation(DVec2::X * grains);
             shared * (1.0 - kept * kept)
@@ -313,13 +315,16 @@ impl LineImage {
             "speckle out of focus",
             modelled,
             match modelled {
-                true => "two strips of the pupil's field, each displaced by its defocus".into(),
+                true => {
+                    "two strips of the pupil's field, each read where its light was seen".into()
+                }
                 false => "moves with the surface".into(),
             },
             match slip {
                 Some(slip) => format!(
-                    "slips up to {slip:.2} grains a frame: without, the correlation of \
-                     neighbouring frames, {shared:.3} at most, is off by {error:.3}"
+                    "moves up to {slip:.2} grains a frame otherwise than the middle of the view: \
+                     without, the correlation of neighbouring frames, {shared:.3} at most, is \
+                     off by {error:.3}"
                 ),
                 None => "intensities are read, or speckle moves but hardly changes".into(),
             },

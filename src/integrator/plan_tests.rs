@@ -12,6 +12,7 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
             across_sheet: 0.0,
             gamma: 1.0,
             slip_grains: None,
+            turn_grains: 0.0,
         },
     };
     let prefiltered = SpeckleOptics {
