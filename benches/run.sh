@@ -40,7 +40,7 @@ for bench in benches/*.rs; do
     bench=$(basename "$bench" .rs)
     echo "bench: $bench" >&2
     # Not piped, which would hide that a bench failed.
-    cargo bench --bench "$bench" -- --save-baseline "$name" >>"$log" 2>&1 || {
+    cargo bench --features race --bench "$bench" -- --save-baseline "$name" >>"$log" 2>&1 || {
         tail -n 20 "$log" >&2
         exit 70
     }
@@ -67,7 +67,7 @@ mv "$out/figures.json.new" "$out/figures.json"
     echo
     echo '```'
     # Its own words have a bracket, or begin with one of these.
-    grep -E '^[a-z0-9][^[]*: .*[0-9]' "$log" | grep -vE '^(warning|error|note)' || true
+    grep -E '^[a-z0-9][^[]*: .*[0-9]|^\|' "$log" | grep -vE '^(warning|error|note)' || true
     echo '```'
 } >"$out/index.md.new"
 mv "$out/index.md.new" "$out/index.md"

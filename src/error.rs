@@ -1,6 +1,9 @@
 //! The one error type. A user's mistake names the file, the place in it, the
 //! key, what was found and what was expected; a bug is an assertion instead.
 
+pub mod printable;
+
+use printable::{path, short};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -52,22 +55,22 @@ impl InputError {
 
 impl fmt::Display for InputError {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "{}", self.file.display())?;
+        write!(f, "{}", path(&self.file))?;
         match self.place {
             Place::Line(line) => write!(f, ":{line}")?,
             Place::Byte(byte) => write!(f, ": byte {byte}")?,
             Place::File => {}
         }
         if let Some(key) = &self.key {
-            write!(f, ": {key}")?;
+            write!(f, ": {}", short(key))?;
         }
         match self.found.as_str() {
             "" => write!(f, " is missing")?,
-            found => write!(f, ": found {found}")?,
+            found => write!(f, ": found {}", short(found))?,
         }
-        write!(f, ", expected {}", self.expected)?;
+        write!(f, ", expected {}", short(&self.expected))?;
         match &self.hint {
-            Some(hint) => write!(f, "; {hint}"),
+            Some(hint) => write!(f, "; {}", short(hint)),
             None => Ok(()),
         }
     }
@@ -76,36 +79,39 @@ impl fmt::Display for InputError {
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The command line asks for something that cannot be done.
-    #[error("{0}")]
+    #[error("{}", printable::line(.0))]
     Usage(String),
     /// A scene or mesh file is wrong.
     #[error("{0}")]
     Input(Box<InputError>),
     /// The file system refused.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {source}", path(file))]
     Io {
         action: &'static str,
-        path: PathBuf,
+        file: PathBuf,
         source: std::io::Error,
     },
     /// Embree failed.
     #[error("Embree: {0}")]
     Embree(String),
-    /// The machine has too little memory for a mesh.
+    /// The machine has too little memory.
     #[error(
-        "{work} takes {:.2} GB, and {:.2} GB of memory are free: take a coarser mesh or a larger \
-         machine",
+        "{work} takes {:.2} GB, and {:.2} GB of memory are free: make it smaller, take fewer \
+         threads or a larger machine",
         *need as f64 / 1e9, *available as f64 / 1e9
     )]
     Memory {
-        /// What, of which mesh, and how its need comes about.
+        /// What, and how its need comes about.
         work: String,
         /// Bytes.
         need: u64,
         available: u64,
     },
+    /// The system gave no memory or no thread, though there seemed to be enough.
+    #[error("{0}; take fewer threads or a larger machine")]
+    Exhausted(String),
     /// Another run writes to this folder.
-    #[error("another run is writing to {}; wait for its end or choose another folder", .0.display())]
+    #[error("another run is writing to {}; wait for its end or choose another folder", path(.0))]
     Busy(PathBuf),
     /// What warns of a worthless result is to be an error.
     #[error("{}", .0.join(" "))]
@@ -124,10 +130,10 @@ impl From<InputError> for Error {
 impl Error {
     /// `map_err` adapter: `fs::read(p).map_err(Error::io("read", p))`.
     pub fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Error + use<> {
-        let path = path.to_owned();
+        let file = path.to_owned();
         move |source| Error::Io {
             action,
-            path,
+            file,
             source,
         }
     }
@@ -135,16 +141,16 @@ impl Error {
     /// Process exit status, after BSD `sysexits.h`: 64 usage, 65 bad input
     /// data, 70 internal, 74 input/output, 75 temporary (run again).
     pub fn exit_code(&self) -> u8 {
-        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+        use std::io::ErrorKind::{FileTooLarge, OutOfMemory, QuotaExceeded, StorageFull};
         match self {
             Error::Usage(_) => 64,
             Error::Input(_) | Error::Warned(_) => 65,
             Error::Embree(_) => 70,
             Error::Io { source, .. } => match source.kind() {
-                StorageFull | QuotaExceeded => 75,
+                StorageFull | QuotaExceeded | FileTooLarge | OutOfMemory => 75,
                 _ => 74,
             },
-            Error::Memory { .. } | Error::Busy(_) | Error::Interrupted => 75,
+            Error::Memory { .. } | Error::Exhausted(_) | Error::Busy(_) | Error::Interrupted => 75,
         }
     }
 }
@@ -169,6 +175,7 @@ mod tests {
             Error::io("write", Path::new("x"))(std::io::Error::from(kind)).exit_code()
         };
         assert_eq!(code(std::io::ErrorKind::StorageFull), 75);
+        assert_eq!(code(std::io::ErrorKind::FileTooLarge), 75);
         assert_eq!(code(std::io::ErrorKind::PermissionDenied), 74);
     }
 }

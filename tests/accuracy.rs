@@ -135,33 +135,61 @@ black_level_dn = 8
     }
 }
 
-/// Parts whose upper surface is at the origin; `size` is the field's, mm.
-fn part(random: &mut Random, size: f64) -> String {
-    let radius = size * random.between(0.5, 2.0);
-    match random.choice(5) {
-        0 => format!(
-            "plane = {{ size_mm = [{0}, {0}] }}\nrotation_deg = [{1}, {2}, 0]",
+/// What is in view: kinds of parts that generated scenes take in turn.
+const KINDS: [&str; 7] = [
+    "plane",
+    "sphere",
+    "cylinder",
+    "step",
+    "block",
+    "bracket",
+    "step, wide beam",
+];
+
+/// A part whose upper surface is about the origin; `size` is the field's, mm.
+fn part(random: &mut Random, kind: &str, size: f64) -> String {
+    let tilt = [0, 1].map(|_| random.between(-25.0, 25.0));
+    let turn = random.between(0.0, 360.0);
+    let pose = |depth: f64| {
+        format!(
+            "rotation_deg = [{}, {}, {turn}]\nposition_mm = [0, 0, {}]",
+            tilt[0], tilt[1], -depth
+        )
+    };
+    // From one whose silhouette is in view to one that fills it.
+    let radius = size * random.scale(0.15, 2.0);
+    let block = |random: &mut Random, width: f64, height: f64| {
+        let step = height * random.between(0.1, 0.8);
+        format!(
+            "step_block = {{ size_mm = [{0}, {0}, {height}], step_mm = {step} }}\n{1}",
+            size * width,
+            pose(height - 0.5 * step)
+        )
+    };
+    match kind {
+        "plane" => format!(
+            "plane = {{ size_mm = [{0}, {0}] }}\n{1}",
             1.6 * size,
-            random.between(-25.0, 25.0),
-            random.between(-25.0, 25.0)
+            pose(0.0)
         ),
-        1 => format!(
+        "sphere" => format!(
             "sphere = {{ radius_mm = {radius}, chord_um = 0.2 }}\nposition_mm = [0, 0, {}]",
             -radius
         ),
-        2 => format!(
-            "cylinder = {{ radius_mm = {radius}, length_mm = {}, chord_um = 0.2 }}\n\
-             position_mm = [0, 0, {}]",
-            2.0 * size,
-            -radius
-        ),
-        3 => format!(
-            "step_block = {{ size_mm = [{0}, {0}, {1}], step_mm = {2} }}\nposition_mm = [0, 0, {3}]",
-            0.8 * size,
-            0.5 * size,
-            0.05 * size,
-            -0.5 * size
-        ),
+        "cylinder" => format!(
+            "cylinder = {{ radius_mm = {radius}, length_mm = {} }}\n{}",
+            1.2 * size,
+            pose(radius)
+        )
+        .replace(" }", ", chord_um = 0.2 }"),
+        "step" | "step, wide beam" => {
+            let height = random.between(0.05, 0.2);
+            block(random, 1.3, height * size)
+        }
+        "block" => {
+            let (width, height) = (random.between(0.2, 0.6), random.between(0.05, 0.3));
+            block(random, width, height * size)
+        }
         // Fillets, ribs, holes and a step.
         _ => format!(
             "mesh = {{ file = \"{}/scenes/bracket/bracket.stl\", unit = \"mm\" }}\n\
@@ -173,12 +201,19 @@ fn part(random: &mut Random, size: f64) -> String {
     }
 }
 
+fn kind(number: u64) -> &'static str {
+    KINDS[number as usize % KINDS.len()]
+}
+
 /// A scene of part, sensor and tolerance; the same for the same number.
 fn scene_text(number: u64) -> String {
-    let random = &mut Random::new(1000 + number);
-    let optics = Optics::random(random);
+    let random = &mut Random::new(5000 + number);
+    let mut optics = Optics::random(random);
+    if kind(number).contains("wide") {
+        optics.waist_um = random.scale(6.0, 15.0) * optics.object_px();
+    }
     let size = COLUMNS * optics.object_px() * 1e-3;
-    let part = part(random, size);
+    let part = part(random, kind(number), size);
     assemble(number, random, &optics, &part, size)
 }
 
@@ -193,7 +228,7 @@ fn assemble(number: u64, random: &mut Random, optics: &Optics, part: &str, size:
     };
     let speckle = random.choice(4) > 0;
     let patterns = [1, 1, 4, 16, 64][random.choice(5)];
-    let frames = 9;
+    let frames = FRAMES;
     let sensor = optics.tables(exposure, full_well, &noise, patterns);
     format!(
         r#"seed = {number}
@@ -216,14 +251,17 @@ height_um = {tolerance}
     )
 }
 
-/// Frames other than those that plans are made from (0, 2, 4, 6 and 8 of nine).
-const FRAMES: [u32; 3] = [1, 3, 5];
+/// Of a scan; plans are made from some of them.
+const FRAMES: u32 = 150;
+/// Frames that a plan is held against, less those it was made from: one of fifteen.
+const JUDGED_EVERY: usize = 15;
 
 fn kept(text: &str, folder: &Path) -> Kept {
     let path = folder.join("scene.toml");
     fs::write(&path, text).unwrap();
     let scene = Scene::load(&path).unwrap();
-    keeps_word(&scene, &FRAMES).unwrap()
+    let frames: Vec<u32> = (3..FRAMES).step_by(JUDGED_EVERY).collect();
+    keeps_word(&scene, &frames).unwrap()
 }
 
 /// A line of the table.
@@ -250,23 +288,30 @@ fn row(number: &str, kept: &Kept) -> String {
         ),
     };
     format!(
-        "| {number} | {:.2} | {} | {:.2} | {} | {} | {} | {:.2} | {} | {:.0} |",
+        "| {number} | {:.2} | {} | {:.2} | {} | {} | {} | {:.2} | {:.2} | {:.2} | {} | {} | {:.0} | \
+         {:.2} | {:.2} |",
         accuracy.tolerance_um,
         number_or(accuracy.speckle_limit_um),
         accuracy.planned_um,
         method,
         number_or(accuracy.predicted_um),
         number_or(kept.error.within_um),
+        100.0 * accuracy.predicted_share,
+        100.0 * accuracy.share_at_most,
         100.0 * kept.beyond,
         kept.error.points,
-        kept.ms[0] / kept.ms[1]
+        if accuracy.sufficient { "yes" } else { "no" },
+        kept.ms[0] / kept.ms[2],
+        accuracy.cost_without_ms / accuracy.cost_ms,
+        kept.ms[1] / kept.ms[2]
     )
 }
 
 const HEAD: &str = "\
 | scene | tolerance, µm | speckle's limit, µm | planned to, µm | method | predicted, µm | found, µm | \
-beyond, % | points | times as fast |
-|---|---|---|---|---|---|---|---|---|---|";
+beyond in the parts looked at, % | at most, % | beyond, % | points | sure | times as fast | than \
+without a tolerance, predicted | and found |
+|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
 
 fn table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
     let folder = TempDir::new().unwrap();
@@ -274,7 +319,7 @@ fn table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
     numbers
         .map(|number| {
             let kept = kept(&scene_text(number), folder.path());
-            eprintln!("{}", row(&number.to_string(), &kept));
+            eprintln!("{}", row(&format!("{number}, {}", kind(number)), &kept));
             kept
         })
         .collect()
@@ -287,38 +332,61 @@ fn share_beyond(all: &[Kept]) -> f64 {
     all.iter().map(beyond).sum::<f64>() / points as f64
 }
 
-#[test]
-fn a_dozen_plans_keep_their_word() {
-    let all = table(0..12);
-    let share = share_beyond(&all);
+/// Plans say at 95 % confidence that at most 1 of 100 points is beyond, so of `scenes` that say
+/// so more than this number are wrong once in a thousand times (binomial).
+fn most_broken(scenes: usize) -> usize {
+    let (mut chance, mut at_most) = (0.95f64.powi(scenes as i32), 0.0);
+    for broken in 0..=scenes {
+        at_most += chance;
+        if at_most > 0.999 {
+            return broken;
+        }
+        chance *= (scenes - broken) as f64 / (broken + 1) as f64 * 0.05 / 0.95;
+    }
+    scenes
+}
+
+/// That few plans that are sure break their word, and all together less than 1 of 100 points.
+fn summary(all: &[Kept]) {
+    let is_sure = |k: &&Kept| k.plan.accuracy.as_ref().unwrap().sufficient;
+    let judged: Vec<&Kept> = all.iter().filter(|k| k.error.points > 0).collect();
+    let sure: Vec<&Kept> = judged.iter().copied().filter(is_sure).collect();
+    let broken = sure.iter().filter(|k| k.beyond > 0.01).count();
+    let share = share_beyond(all);
+    let median = |by: usize| {
+        let mut ratios: Vec<f64> = judged.iter().map(|k| k.ms[by] / k.ms[2]).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios[ratios.len() / 2]
+    };
+    eprintln!(
+        "\n{} scenes with a line; {} plans are sure, and in {broken} of these scenes more than 1 % \
+         of points are beyond; of all points {:.3} %; median {:.0} times as fast as the full \
+         model, {:.2} as without a tolerance",
+        judged.len(),
+        sure.len(),
+        100.0 * share,
+        median(0),
+        median(1)
+    );
+    assert!(
+        broken <= most_broken(sure.len()),
+        "{broken} of {}",
+        sure.len()
+    );
     assert!(share < 0.01, "{share}");
 }
 
-fn summary(all: &[Kept]) -> f64 {
-    let judged: Vec<&Kept> = all.iter().filter(|k| k.error.points > 0).collect();
-    let mut ratios: Vec<f64> = judged.iter().map(|k| k.ms[0] / k.ms[1]).collect();
-    ratios.sort_by(f64::total_cmp);
-    let kept = judged.iter().filter(|k| k.beyond <= 0.01).count();
-    let share = share_beyond(all);
-    eprintln!(
-        "\n{} scenes with a line, in {kept} of them at most 1 % of points beyond; of all points \
-         {:.3} %; median {:.0} times as fast, least {:.0}",
-        judged.len(),
-        100.0 * share,
-        ratios[ratios.len() / 2],
-        ratios[0]
-    );
-    share
+#[test]
+fn a_dozen_plans_keep_their_word() {
+    summary(&table(0..12));
 }
 
 #[test]
 #[ignore = "minutes"]
 fn a_hundred_plans_keep_their_word() {
-    let share = summary(&table(0..120));
-    assert!(share < 0.01, "{share}");
+    summary(&table(0..98));
     // Scenes that nothing was looked for in.
-    let unseen = summary(&table(120..160));
-    assert!(unseen < 0.01, "{unseen}");
+    summary(&table(98..140));
 }
 
 /// File and millimetres of its unit.
@@ -364,6 +432,5 @@ fn plans_of_real_parts_keep_their_word() {
             all.push(kept);
         }
     }
-    let share = summary(&all);
-    assert!(share < 0.01, "{share}");
+    summary(&all);
 }

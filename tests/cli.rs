@@ -88,7 +88,7 @@ fn a_pipe_given_as_scene_or_mesh_does_not_hang() {
         folder.path(),
         &["check", "scene.toml"],
         65,
-        &["pipe: found", "regular file"],
+        &["scene.toml:6: part.mesh.file", "pipe is not a regular file"],
     );
 }
 
@@ -203,29 +203,10 @@ fn another_seed_shows_in_manifest_and_noise_and_the_hash_stays_the_file_s() {
     assert!(frame == same_frame && frame != other_frame);
 }
 
-/// The symbolic link makes the file system refuse as a full disk does.
+/// A result that is lost is no success.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_temporary_and_leaves_no_half_file() {
-    let folder = folder_with(&scene(PLANE));
-    let path = folder.path();
-    for name in ["cloud.ply", "report.html", "manifest.json"] {
-        let out = path.join(name.replace('.', "-"));
-        fs::create_dir(&out).unwrap();
-        let part = out.join(format!("{name}.part"));
-        std::os::unix::fs::symlink("/dev/full", &part).unwrap();
-        let arguments = ["scan", "scene.toml", "-o", out.to_str().unwrap()];
-        assert_error(
-            path,
-            &arguments,
-            75,
-            &["cannot write", name, "No space left"],
-        );
-        for absent in [name, "manifest.json"] {
-            assert!(!out.join(absent).exists(), "{absent} after {name} failed");
-        }
-        assert!(part.symlink_metadata().is_err(), "{} left", part.display());
-    }
+fn a_full_disk_behind_stdout_is_temporary() {
     let full = fs::File::options().write(true).open("/dev/full").unwrap();
     let status = std::process::Command::new(env!("CARGO_BIN_EXE_lasertrace"))
         .arg("schema")
@@ -384,4 +365,25 @@ fn a_closed_pipe_is_no_error() {
     assert_eq!(status.unwrap().code(), Some(74), "stderr closed");
     let (code, ..) = run(folder.path(), &["check", "scene.toml"]);
     assert_eq!(code, 0);
+}
+
+/// Made from the definition of the command line, so that they name every command.
+#[test]
+fn version_manual_and_completions_name_what_they_should() {
+    let folder = folder_with("");
+    let print = |arguments: &[&str]| {
+        let (code, text, _) = run(folder.path(), arguments);
+        assert_eq!(code, 0, "{arguments:?}");
+        text
+    };
+    let version = print(&["--version"]);
+    assert!(version.contains(env!("CARGO_PKG_VERSION")), "{version}");
+    assert!(version.contains("Embree ") || version.contains("obvhs "));
+    for shell in ["bash", "zsh", "fish"] {
+        let completions = print(&["completions", shell]);
+        assert!(completions.contains("scan") && completions.contains("geometry-only"));
+    }
+    assert!(print(&["man"]).contains(".TH lasertrace"));
+    assert!(print(&["man", "scan"]).contains("resume"));
+    assert_error(folder.path(), &["man", "scam"], 64, &["scam"]);
 }

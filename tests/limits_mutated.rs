@@ -92,6 +92,14 @@ fn mutated_meshes_are_meshes_or_refused() {
     }
 }
 
+/// Few mutations of a PNG keep its checksums.
+#[test]
+fn mutated_files_beside_a_scene_are_taken_or_refused() {
+    run("poses", 20_000, harness::is_poses);
+    run("calibration", 20_000, harness::is_calibration);
+    run("png", 5_000, harness::is_image);
+}
+
 #[test]
 fn mutated_scenes_are_scenes_or_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -6,10 +6,11 @@
 mod program;
 
 use program::{PLANE, assert_error, folder_with, run, scene};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::process::Command;
 
 const SCAN: [&str; 4] = ["scan", "scene.toml", "-o", "out"];
 
@@ -87,4 +88,40 @@ fn an_output_that_cannot_be_written_is_an_error_of_the_file_system() {
     assert_error(path, &SCAN, 74, &["out/", "Permission denied"]);
     let render = ["render", "scene.toml", "--frame", "0", "-o", "out"];
     assert_error(path, &render, 74, &["out/", "Permission denied"]);
+}
+
+/// Files that may grow to so many blocks of 512 bytes: at each limit another one is the
+/// first that does not fit.
+#[test]
+fn a_file_that_may_not_grow_is_temporary_and_leaves_no_half_file() {
+    let folder = folder_with(&scene(PLANE));
+    let path = folder.path();
+    let mut refused = BTreeSet::new();
+    for blocks in [1, 4, 8, 16, 32, 64] {
+        let out = path.join(format!("out-{blocks}"));
+        let limited = format!("ulimit -f {blocks}; exec \"$0\" scan scene.toml -o out-{blocks}");
+        let output = Command::new("sh")
+            .args(["-c", &limited, env!("CARGO_BIN_EXE_lasertrace")])
+            .current_dir(path)
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        if output.status.success() {
+            continue;
+        }
+        assert_eq!(output.status.code(), Some(75), "{stderr}");
+        let prefix = format!("lasertrace: cannot write out-{blocks}/");
+        let name = stderr
+            .strip_prefix(&prefix)
+            .and_then(|rest| rest.split(':').next());
+        let name = name.unwrap_or_else(|| panic!("{stderr}"));
+        assert!(
+            name == "frames.journal" || !out.join(name).exists(),
+            "{name}"
+        );
+        assert!(!out.join("manifest.json").exists());
+        assert!(!out.join(format!("{name}.part")).exists());
+        refused.insert(name.to_owned());
+    }
+    assert!(refused.len() >= 2, "{refused:?}");
 }

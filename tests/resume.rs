@@ -362,14 +362,21 @@ fn a_full_disk_made_larger_is_resumed_to_the_same_bytes() {
     assert_same(path, &expected, "after the read-only disk");
 }
 
-#[cfg(target_os = "linux")]
+/// The journal is the first file to grow.
+#[cfg(unix)]
 #[test]
 fn a_journal_that_cannot_be_written_is_an_error() {
     let folder = folder_with(&with_frames(3));
-    fs::create_dir(folder.path().join("out")).unwrap();
-    let journal = folder.path().join("out/frames.journal");
-    std::os::unix::fs::symlink("/dev/full", &journal).unwrap();
-    let arguments = ["scan", "scene.toml", "-o", "out"];
-    let words = ["cannot write out/frames.journal", "No space left"];
-    assert_error(folder.path(), &arguments, 75, &words);
+    let limited = "ulimit -f 0; exec \"$0\" scan scene.toml -o out";
+    let output = std::process::Command::new("sh")
+        .args(["-c", limited, env!("CARGO_BIN_EXE_lasertrace")])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(75), "{stderr}");
+    assert!(
+        stderr.contains("cannot write out/frames.journal: File too large"),
+        "{stderr}"
+    );
 }

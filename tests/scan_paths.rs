@@ -3,7 +3,7 @@
 
 mod program;
 
-use lasertrace::batch::{Simulation, plan};
+use lasertrace::batch::{Simulation, scene_plan};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::scene::Scene;
 use program::{PLANE, assert_error, folder_with, scene};
@@ -214,7 +214,7 @@ fn motion_in_the_exposure_widens_the_line_as_predicted() {
     );
 
     let effect = |scene: &Scene| {
-        let plan = plan(scene);
+        let plan = scene_plan(scene).unwrap();
         let effect = plan
             .effects
             .iter()

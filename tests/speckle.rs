@@ -3,7 +3,6 @@
 
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::rng::{Key, Purpose};
-use lasertrace::speckle::coordinate::GrainMap;
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use lasertrace::speckle::slices::Slices;
@@ -201,8 +200,8 @@ fn the_centroid_of_a_line_strays_by_its_law() {
         for (i, coherence) in [Coherence::FULL, two].into_iter().enumerate() {
             let lookup = Lookup::new(&spec, Method::Field, coherence).unwrap();
             for (&(h, sigma), squares) in lines.iter().zip(&mut squares) {
-                let map = GrainMap::new(spec.texels_per_speckle, h, glam::DVec2::ZERO);
-                centroids(&lookup, &map, h, sigma, |c| squares[i].push(c * c));
+                let texels_per_mm = spec.texels_per_speckle / h;
+                centroids(&lookup, texels_per_mm, h, sigma, |c| squares[i].push(c * c));
             }
         }
     }
@@ -225,7 +224,7 @@ fn the_centroid_of_a_line_strays_by_its_law() {
 
 /// Centroids of a line of standard deviation `sigma` across its rows, for
 /// columns, lines and slices that hold independent grains.
-fn centroids(lookup: &Lookup, map: &GrainMap, h: f64, sigma: f64, mut found: impl FnMut(f64)) {
+fn centroids(lookup: &Lookup, texels_per_mm: f64, h: f64, sigma: f64, mut found: impl FnMut(f64)) {
     let pitch = 1.2e-3;
     let lines = (256.0 * h / (8.0 * sigma)) as usize;
     let reach = (4.0 * sigma / pitch) as i64;
@@ -237,10 +236,9 @@ fn centroids(lookup: &Lookup, map: &GrainMap, h: f64, sigma: f64, mut found: imp
         let (mut power, mut moment) = (0.0, 0.0);
         for row in -reach..=reach {
             let y = pitch * row as f64;
-            let at = map.position((x, middle + y).into(), glam::DVec2::ZERO);
             let at = Coordinate {
-                s: at.x,
-                t: at.y,
+                s: texels_per_mm * x,
+                t: texels_per_mm * (middle + y),
                 u,
             };
             let light = (-y * y / (2.0 * sigma * sigma)).exp() * lookup.intensity(at) as f64;

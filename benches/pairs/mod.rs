@@ -10,6 +10,7 @@ pub fn seconds<T>(run: impl FnOnce() -> T) -> f64 {
 }
 
 /// Prints the median and the quartiles of `n` ratios.
+#[allow(dead_code, reason = "one bench prints a table of its own")]
 pub fn print_ratio(name: &str, n: usize, ratio: impl FnMut(usize) -> f64) {
     let mut ratios: Vec<f64> = (0..n).map(ratio).collect();
     ratios.sort_by(f64::total_cmp);

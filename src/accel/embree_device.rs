@@ -31,8 +31,16 @@ pub fn version() -> String {
     version_string(unsafe { ffi::lt_header_version() })
 }
 
-/// The first error Embree reported since it was last asked.
-type ErrorSlot = Mutex<Option<String>>;
+/// The first error Embree reported since it was last asked, and its code.
+type ErrorSlot = Mutex<Option<(ffi::RTCError, String)>>;
+
+fn error(code: ffi::RTCError, text: &str) -> Error {
+    let text = format!("{text} (error {code})");
+    match code {
+        ffi::RTC_ERROR_OUT_OF_MEMORY => Error::Exhausted(format!("Embree: {text}")),
+        _ => Error::Embree(text),
+    }
+}
 
 unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
     // SAFETY: `slot` is the boxed ErrorSlot given to lt_device_on_error, which
@@ -46,7 +54,7 @@ unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: 
         (&*(slot as *const ErrorSlot), text)
     };
     let mut first = slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    first.get_or_insert_with(|| format!("{text} (error {code})"));
+    first.get_or_insert_with(|| (code, text.into_owned()));
 }
 
 pub(super) struct Device {
@@ -68,14 +76,14 @@ impl Device {
         // SAFETY: both pointers are valid for the call.
         let handle = unsafe { ffi::lt_device_new(config.as_ptr(), &mut code) };
         if handle.is_null() {
-            return Err(Error::Embree(format!("cannot start (error {code})")));
+            return Err(error(code, "cannot start"));
         }
-        let error = Box::new(ErrorSlot::default());
-        let slot = &*error as *const ErrorSlot as *mut c_void;
+        let slot = Box::new(ErrorSlot::default());
+        let user = &*slot as *const ErrorSlot as *mut c_void;
         // SAFETY: the handle is a live device; the slot is boxed, so it stays
         // where it is until `drop`, which releases the device first.
         let (header, library, packet) = unsafe {
-            ffi::lt_device_on_error(handle, Some(record_error), slot);
+            ffi::lt_device_on_error(handle, Some(record_error), user);
             let packet = ffi::lt_packet_width(handle);
             (
                 ffi::lt_header_version(),
@@ -86,7 +94,7 @@ impl Device {
         let device = Device {
             handle,
             packet,
-            error,
+            error: slot,
         };
         check_versions(header, library)?;
         Ok(device)
@@ -98,7 +106,10 @@ impl Device {
             .error
             .lock()
             .unwrap_or_else(|poisoned| poisoned.into_inner());
-        first.take().map_or(Ok(()), |text| Err(Error::Embree(text)))
+        match first.take() {
+            None => Ok(()),
+            Some((code, text)) => Err(error(code, &text)),
+        }
     }
 }
 
@@ -142,8 +153,9 @@ mod tests {
         let slot = &*device.error as *const ErrorSlot as *mut c_void;
         // SAFETY: the slot is alive and the text a C string.
         unsafe { record_error(slot, 4, c"out of memory".as_ptr()) };
-        let message = device.check().unwrap_err().to_string();
-        assert!(message.contains("out of memory"), "{message}");
+        let error = device.check().unwrap_err();
+        assert!(error.to_string().contains("out of memory"), "{error}");
+        assert_eq!(error.exit_code(), 75);
         // A mesh no machine has memory for: Embree's own report.
         let (mut v, t) = (std::ptr::null_mut(), [0; 3]);
         // SAFETY: the device is live, the out-pointer valid, and so is the triangle.

@@ -1,8 +1,8 @@
 //! Accuracy against speed: every way of doing a frame, on the scene's own frames.
 
 use super::pilot::spread_frames;
-use super::tiers::{HeightErrors, Tier, TierFrame, Tiers, in_words};
-use super::{Control, files};
+use super::tiers::{Tier, TierFrame, Tiers, in_words};
+use super::{Control, HeightErrors, files};
 use crate::error::{Error, Result};
 use crate::inspect::accuracy_chart::{AccuracyChart, Mark};
 use crate::inspect::chart::short;

@@ -1,19 +1,21 @@
 //! What can be said of a scene before a scan.
 
-use super::Control;
-use super::planner::scene_plan_with;
+use super::forecast::{Forecast, forecast_of};
 use super::reason::Warning;
 use super::warnings::{Foreseen, foreseen};
+use super::{Control, Coverage};
 use crate::error::Result;
 use crate::integrator::Plan;
 use crate::scene::Scene;
 use serde::Serialize;
-use std::sync::Arc;
+use std::time::Instant;
 
-/// A scene's plan, and what will spoil its scan.
+/// A scene's plan, what its scan takes, and what will spoil it.
 #[derive(Debug, Serialize)]
 pub struct Checked {
     pub plan: Plan,
+    /// Of the whole scan.
+    pub forecast: Forecast,
     /// `null` if the camera sees nothing of the laser's light.
     pub measuring_range: Option<MeasuringRange>,
     /// Empty for a good scene.
@@ -31,13 +33,19 @@ pub struct MeasuringRange {
 }
 
 /// Plans a scene and looks along the whole path of its scan for what will spoil it.
+///
+/// # Errors
+/// [`crate::error::Error::Memory`] if not even one frame fits; `control`'s.
 pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
-    let accel = Arc::new(control.hierarchy(scene)?);
-    let plan = scene_plan_with(scene, &accel)?;
+    let start = Instant::now();
+    let simulation = Coverage::Footprint.simulation(scene, control)?;
+    let forecast = forecast_of(&simulation, start.elapsed().as_secs_f64(), control)?;
     let frames = 0..scene.scan.frames;
-    let Foreseen { range, warnings } = foreseen(scene, &accel, frames, !plan.geometry_only);
+    let images = !simulation.plan.geometry_only;
+    let Foreseen { range, warnings } = foreseen(scene, &simulation.accel, frames, images);
     Ok(Checked {
-        plan,
+        plan: simulation.plan,
+        forecast,
         measuring_range: range,
         warnings,
     })

@@ -2,12 +2,62 @@
 
 use crate::error::{Error, Result};
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
+use rustix::fs::OFlags;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 pub fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(Error::io("create folder", path))
+}
+
+/// A folder in one of ours: a symbolic link in its place is refused, for what is written
+/// through it lands, and what is removed is lost, somewhere else.
+pub fn create_own_folder(path: &Path) -> Result<()> {
+    let made = match fs::create_dir(path) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => check_own_folder(path),
+        other => other,
+    };
+    made.map_err(Error::io("create folder", path))
+}
+
+fn check_own_folder(path: &Path) -> io::Result<()> {
+    match fs::symlink_metadata(path)? {
+        kind if kind.is_symlink() => Err(link()),
+        kind if kind.is_dir() => Ok(()),
+        _ => Err(io::Error::from(io::ErrorKind::NotADirectory)),
+    }
+}
+
+/// Opens a file for reading and writing, empty if it is new.
+pub fn open_own_file(path: &Path) -> io::Result<File> {
+    // What the system says of a link ("too many levels") is of another case.
+    if path.is_symlink() {
+        return Err(link());
+    }
+    File::options()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .custom_flags(OFlags::NOFOLLOW.bits() as i32)
+        .open(path)
+}
+
+fn link() -> io::Error {
+    io::Error::other(
+        "it is a symbolic link, and links in an output folder are not followed; remove it",
+    )
+}
+
+/// A file that was not there before: through a link laid in its place another would be
+/// overwritten.
+fn create_new(path: &Path) -> io::Result<File> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => File::create_new(path),
+    }
 }
 
 /// The name under which a file is written before it is whole.
@@ -41,7 +91,7 @@ fn replace(
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
     let part = unfinished(path);
-    let written = File::create(&part).and_then(|file| {
+    let written = create_new(&part).and_then(|file| {
         let mut out = BufWriter::with_capacity(1 << 18, file);
         content(&mut out)?;
         out.flush()
@@ -101,7 +151,7 @@ pub fn remove(path: &Path) -> Result<()> {
 
 /// Removes the files `prefix*` that an earlier run left in `folder`.
 pub fn remove_all(folder: &Path, prefix: &str) -> Result<()> {
-    let entries = match fs::read_dir(folder) {
+    let entries = match check_own_folder(folder).and_then(|()| fs::read_dir(folder)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         other => other.map_err(Error::io("read folder", folder))?,
     };

@@ -12,10 +12,35 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// What a frame is when it is measured.
+pub struct FrameContent {
+    pub points: Vec<CloudPoint>,
+    /// Bytes of its files: the profile, and the image if the scene asks for it.
+    pub files: Vec<Vec<u8>>,
+}
+
+impl FrameContent {
+    pub fn of(simulation: &Simulation, frame: u32) -> FrameContent {
+        let (counts, (peaks, points)) = match simulation.plan.geometry_only {
+            true => (None, simulation.geometric(frame)),
+            false => {
+                let counts = simulation.counts(frame, &simulation.irradiance(frame));
+                let measured = simulation.measure(frame, &counts);
+                (Some(counts), measured)
+            }
+        };
+        let image = counts.filter(|_| simulation.scene.write_frames);
+        let profile = [profile_csv(&peaks, &points)].into_iter();
+        FrameContent {
+            files: profile.chain(image.as_ref().map(encode_counts)).collect(),
+            points,
+        }
+    }
+}
+
 /// The frames of a scan in the making.
 pub struct Run<'a> {
     pub simulation: &'a Simulation<'a>,
-    pub geometry_only: bool,
     pub out: &'a Path,
     pub control: &'a Control<'a>,
     /// Frames finished so far.
@@ -36,27 +61,16 @@ impl Run<'_> {
     /// Takes a frame, measures it and writes its files.
     fn frame(&self, frame: u32) -> Result<FrameRecord> {
         self.control.check()?;
-        let simulation = self.simulation;
-        let (counts, (peaks, points)) = match self.geometry_only {
-            true => (None, simulation.geometric(frame)),
-            false => {
-                let counts = simulation.counts(frame, &simulation.irradiance(frame));
-                let measured = simulation.measure(frame, &counts);
-                (Some(counts), measured)
-            }
-        };
-        let image = counts.filter(|_| simulation.scene.write_frames);
-        let contents = [profile_csv(&peaks, &points)].into_iter();
-        let contents = contents.chain(image.as_ref().map(encode_counts));
+        let content = FrameContent::of(self.simulation, frame);
         let mut files = Vec::new();
-        for (name, bytes) in self.names(frame).iter().zip(contents) {
-            files.push(checksum(&bytes));
-            files::write_checked_later(name, &bytes)?;
+        for (name, bytes) in self.names(frame).iter().zip(&content.files) {
+            files.push(checksum(bytes));
+            files::write_checked_later(name, bytes)?;
         }
         Ok(FrameRecord {
             frame,
             files,
-            points,
+            points: content.points,
         })
     }
 

@@ -13,6 +13,7 @@
 //! not match its checksum, and the journal ends before it. The file is locked while
 //! a run writes; the system drops the lock of a process that dies.
 
+use super::files;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
 use serde::{Deserialize, Serialize};
@@ -91,13 +92,7 @@ impl Journal {
     /// seed, range or version.
     pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, Vec<Vec<Checksum>>)> {
         let path = out.join("frames.journal");
-        let file = File::options()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(&path)
-            .map_err(Error::io("open", &path))?;
+        let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(Error::Busy(out.to_owned())),
@@ -116,10 +111,7 @@ impl Journal {
             end = journal.check(key, &mut kept)?;
         }
         let cut = |file: &mut File| {
-            // A device in the file's place has no length.
-            if file.metadata()?.is_file() {
-                file.set_len(end)?;
-            }
+            file.set_len(end)?;
             file.seek(SeekFrom::Start(end)).map(drop)
         };
         cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;

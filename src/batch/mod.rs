@@ -6,8 +6,11 @@ mod calibrate;
 mod chart;
 mod check;
 mod files;
+mod forecast;
 mod frames;
+mod height_errors;
 mod journal;
+mod kept;
 mod measure;
 mod peak_image;
 mod peaks;
@@ -18,6 +21,7 @@ mod render;
 mod report;
 mod scan;
 mod scan_speckle;
+mod search;
 mod simulation;
 mod speckle;
 mod survey;
@@ -32,19 +36,24 @@ pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
 pub use check::{Checked, MeasuringRange, check};
-pub use peak_image::{FoundLine, GreyImage, ImageSummary, LineAlong, peaks_of_image, read_image};
+pub use forecast::Forecast;
+pub use height_errors::HeightErrors;
+pub use kept::{Kept, keeps_word};
+pub use peak_image::{
+    FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
+};
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use planner::scene_plan;
 pub use reason::{Reason, Warning};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
-pub use simulation::{Simulation, plan};
+pub use simulation::{Simulation, part_in_view};
 pub use speckle::{Grain, SpeckleSummary, speckle};
-pub use tiers::{HeightErrors, Kept, keeps_word};
 pub use uncertainty::{MonteCarlo, monte_carlo};
 pub use warnings::refuse;
 pub use wave::{
-    ComparedMotion, WaveEffort, WaveSummary, reference_motions, wave_patch, wave_reference,
+    ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,
+    wave_patch, wave_reference,
 };
 
 use crate::accel::Accel;

@@ -54,14 +54,22 @@ pub struct FoundLine {
 /// Reads a PNG of 8 or 16 bits; of colours, their luminance. Errors: no regular
 /// file, no such PNG.
 pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
-    let wrong = |found: String| InputError::new(path, Place::File, found, "an image (PNG)");
     let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
     if !kind.is_file() {
-        return Err(wrong("something that is not a regular file".into()).into());
+        return Err(wrong(path, "something that is not a regular file".into()));
     }
     let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    let image = image::load_from_memory_with_format(&bytes, ImageFormat::Png)
-        .map_err(|error| wrong(error.to_string()))?;
+    parse_image(path, &bytes, line_along)
+}
+
+fn wrong(path: &Path, found: String) -> Error {
+    InputError::new(path, Place::File, found, "an image (PNG)").into()
+}
+
+/// `read_image` for bytes already in memory; `path` only names them in errors.
+pub fn parse_image(path: &Path, bytes: &[u8], line_along: LineAlong) -> Result<GreyImage> {
+    let image = image::load_from_memory_with_format(bytes, ImageFormat::Png)
+        .map_err(|error| wrong(path, error.to_string()))?;
     let image = match line_along {
         LineAlong::Columns => image,
         LineAlong::Rows => image.rotate90().fliph(),

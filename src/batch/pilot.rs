@@ -1,24 +1,41 @@
-//! A few frames without speckle and noise, from which the plan for a tolerance
-//! predicts what each effect does to the scene's points.
+//! Parts of a few frames, as the full model and as others have them: what a plan for a
+//! tolerance is chosen by.
 
-use super::Simulation;
 use super::measure::error_model;
-use crate::accel::{Accel, Clusters};
+use super::{HeightErrors, Simulation};
+use crate::camera::Counts;
 use crate::error::Result;
-use crate::integrator::accuracy::{Grain, Pilot, PilotPoint, geometry_only};
+use crate::integrator::accuracy::{Pilot, PilotPoint};
 use crate::integrator::{Plan, Sampling};
 use crate::math::DVec2;
-use crate::profile::{ErrorModel, Peak, WEAK_SNR};
+use crate::profile::{ErrorModel, Peak};
 use crate::scene::Scene;
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::ops::Range;
 
-/// Frames of a pilot, evenly spread over the scan.
-const FRAMES: u32 = 5;
-/// Points of a pilot that are looked at, evenly spread.
-const POINTS: usize = 2000;
-/// Samples a side of the frame that those with 1 and 2 are held against.
-const SAMPLES: u32 = 4;
+/// Columns of one at most: so many to either side decide how wide a line is taken to be.
+const COLUMNS: usize = 64;
+/// Frames, for each that is looked at, in which a line is looked for.
+const FRAMES_ASKED: u32 = 4;
+
+/// Columns of a frame.
+struct Strip {
+    frame: u32,
+    columns: Range<usize>,
+}
+
+/// Parts of frames as the full model has them.
+pub(super) struct Looked<'s> {
+    full: Simulation<'s>,
+    strips: Vec<Strip>,
+    /// The full model's lines, strip by strip.
+    truth: Vec<Vec<Peak>>,
+    /// Share of the lit columns of the scan that was not looked at.
+    left: f64,
+    /// What was asked before.
+    known: Vec<(Plan, HeightErrors)>,
+}
 
 /// `wanted` frames in the middle of as many equal parts of the scan; fewer if it has
 /// fewer.
@@ -28,154 +45,173 @@ pub(super) fn spread_frames(frames: u32, wanted: u32) -> Vec<u32> {
     (0..wanted).map(middle).collect()
 }
 
-/// The simulations that a pilot compares.
-struct Compared<'s> {
-    fine: Simulation<'s>,
-    coarse: [Simulation<'s>; 2],
-    geometric: Simulation<'s>,
-    models: Models,
+/// About `wanted` strips, of different frames as far as something is lit in as many, each a
+/// cell of the lit columns; and the share of all lit columns that these leave out.
+fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
+    let frames = full.scene.scan.frames;
+    let asked = spread_frames(frames, FRAMES_ASKED * wanted);
+    let lit = |&frame: &u32| Some((frame, full.lit_columns(frame)?));
+    let lit: Vec<(u32, Range<usize>)> = asked.par_iter().filter_map(lit).collect();
+    let columns: usize = lit.iter().map(|(_, columns)| columns.len()).sum();
+    let all = columns as f64 * frames as f64 / asked.len() as f64;
+    let chosen = spread_frames(lit.len() as u32, wanted);
+    let each = (wanted as usize).div_ceil(chosen.len().max(1));
+    let mut strips = Vec::new();
+    for (i, frame) in chosen.into_iter().enumerate() {
+        let (frame, lit) = &lit[frame as usize];
+        // Whole cells, so that columns at the ends of the line are as likely as others.
+        let cells = lit.len().div_ceil(COLUMNS);
+        let each = each.min(cells);
+        let edge = |cell: usize| lit.start + cell * lit.len() / cells;
+        // Multiples of the golden ratio lie evenly at any number of them.
+        let first = ((i as f64 * 0.618_034).fract() * cells as f64) as usize;
+        for k in 0..each {
+            let cell = (first + k * cells / each) % cells;
+            strips.push(Strip {
+                frame: *frame,
+                columns: edge(cell)..edge(cell + 1),
+            });
+        }
+    }
+    let looked: usize = strips.iter().map(|strip| strip.columns.len()).sum();
+    (strips, (1.0 - looked as f64 / all.max(1.0)).max(0.0))
 }
 
-/// Errors of rows from one cause each.
-struct Models {
-    speckle: ErrorModel,
-    shot: ErrorModel,
-    none: ErrorModel,
-    /// Noise of dark pixels, counts.
-    dark: f64,
-    columns: usize,
-}
-
-impl Models {
-    fn new(scene: &Scene) -> Models {
-        let sensor = &scene.camera.sensor;
-        let finder = scene.measure.finder;
-        let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-        let read = sensor.noise.map_or(0.0, |n| n.read_noise_e);
-        Models {
-            speckle: error_model(scene).without_shot(),
-            shot: ErrorModel::new(finder, shot, None),
-            none: ErrorModel::new(finder, 0.0, None),
-            dark: (read * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt()),
-            columns: sensor.resolution.x as usize,
+impl<'s> Looked<'s> {
+    /// At about so many strips of a simulation by the full model.
+    pub fn new(full: Simulation<'s>, wanted: u32) -> Looked<'s> {
+        let (strips, left) = strips(&full, wanted);
+        let truth = strips.par_iter().map(|strip| strip.peaks(&full)).collect();
+        Looked {
+            full,
+            strips,
+            truth,
+            left,
+            known: Vec::new(),
         }
     }
 
-    /// Standard deviations of the rows of `peaks` from speckle, from noise, and from
-    /// pixels that err by one count.
-    fn deviations(&self, peaks: &[Peak]) -> Vec<[f64; 3]> {
-        let of = |model: &ErrorModel, noise: f64| {
-            let mut peaks = peaks.to_vec();
-            peaks.iter_mut().for_each(|peak| peak.noise = noise);
-            model.row_errors(&mut peaks, self.columns)
-        };
-        let none = of(&self.none, 0.0);
-        let all = [
-            of(&self.speckle, 0.0),
-            of(&self.shot, self.dark),
-            of(&self.none, 1.0),
-        ];
-        // What is left without any is the finder's own bias.
-        let less = |with: f64, none: f64| (with * with - none * none).max(0.0).sqrt();
-        (0..peaks.len())
-            .map(|i| {
-                all.each_ref()
-                    .map(|errors| less(errors[i].sigma, none[i].sigma))
-            })
-            .collect()
+    pub fn frames(&self) -> Vec<u32> {
+        let frames: BTreeSet<u32> = self.strips.iter().map(|strip| strip.frame).collect();
+        frames.into_iter().collect()
     }
-}
 
-/// Looks at some frames of a scene; `plans` are those to choose from, `base` is the
-/// scene's without a tolerance.
-pub(super) fn pilot<'s>(
-    scene: &'s Scene,
-    accel: &Arc<Accel<'s>>,
-    base: &Plan,
-    plans: &[Plan],
-) -> Result<Pilot> {
-    let clusters = Arc::new(Clusters::new(&scene.mesh));
-    let clean = |samples_per_side| {
-        let plan = Plan {
-            geometry_only: false,
+    pub fn scene(&self) -> &'s Scene {
+        self.full.scene
+    }
+
+    /// Share of the scan's lit columns that were not looked at.
+    pub fn left(&self) -> f64 {
+        self.left
+    }
+
+    /// How far a plan's points are from the full model's, strip by strip.
+    pub fn errors(&mut self, plan: &Plan) -> Result<HeightErrors> {
+        let same = |(known, _): &&(Plan, HeightErrors)| same_methods(known, plan);
+        if let Some((_, errors)) = self.known.iter().find(same) {
+            return Ok(errors.clone());
+        }
+        let simulation = self.full.otherwise(plan.clone())?;
+        let found = self.strips.par_iter().map(|strip| strip.peaks(&simulation));
+        let pairs: Vec<_> = found.zip(self.truth.par_iter().cloned()).collect();
+        let errors = HeightErrors::of(&pairs, &self.full.calibration, 1.0);
+        self.known.push((plan.clone(), errors.clone()));
+        Ok(errors)
+    }
+
+    /// What formulas know of its points, and what costs are counted from; `radii`: at which
+    /// light may end.
+    pub fn pilot(&self, radii: &[f64]) -> Result<Pilot> {
+        let calm = Plan {
             speckle: None,
             noise: false,
             sampling: Sampling::Planes,
-            samples_per_side,
-            ..base.clone()
+            samples_per_side: 4,
+            ..self.full.plan.clone()
         };
-        let simulation = Simulation::with_plan(scene, accel.clone(), plan)?;
-        Result::Ok(simulation.with_clusters(clusters.clone()))
-    };
-    let compared = Compared {
-        fine: clean(SAMPLES)?,
-        coarse: [clean(1)?, clean(2)?],
-        geometric: Simulation::with_plan(scene, accel.clone(), geometry_only(base.clone()))?,
-        models: Models::new(scene),
-    };
-    let frames = spread_frames(scene.scan.frames, FRAMES);
-    let found: Vec<Vec<PilotPoint>> = frames.par_iter().map(|&f| compared.frame(f)).collect();
-    let lines = found.iter().map(Vec::len).sum::<usize>();
-    let sensor = &scene.camera.sensor;
-    let grains = 1.0 / base.speckle_size_px;
-    let each = lines.div_ceil(POINTS).max(1);
-    Ok(Pilot {
-        points: found.into_iter().flatten().step_by(each).collect(),
-        lines: lines as f64 / frames.len().max(1) as f64,
-        pixels: sensor.resolution.as_dvec2().element_product(),
-        columns: sensor.resolution.x as f64,
-        dark: compared.models.dark,
-        step: sensor.noise.map_or(1.0, |_| sensor.gain_dn_per_e.max(1.0)),
-        grain: scene
-            .speckle
-            .map(|s| Grain::new(s.aperture, grains, s.coherence.contrast(), plans)),
-        frames,
-    })
-}
+        let scene = self.full.scene;
+        let simulation = self.full.otherwise(calm)?;
+        let lines = self.strips.par_iter().map(|strip| strip.peaks(&simulation));
+        let lines: Vec<Vec<Peak>> = lines.collect();
+        let points = lines.iter().flat_map(|peaks| self.points(peaks));
+        let looked_at = |&radii: &f64| {
+            let simulation = self.full.otherwise(Plan {
+                cutoff_radii: radii,
+                samples_per_side: 1,
+                sampling: Sampling::Planes,
+                ..simulation.plan.clone()
+            })?;
+            let pixels = self.strips.par_iter().map(|strip| {
+                let light = simulation.strip(strip.frame, &strip.columns);
+                light.looked_at()
+            });
+            let columns: usize = self.strips.iter().map(|s| s.columns.len()).sum();
+            let lit = columns as f64 / (1.0 - self.left).max(1e-9) / scene.scan.frames as f64;
+            let a_column = pixels.sum::<usize>() as f64 / columns.max(1) as f64;
+            Result::Ok((radii, lit * a_column))
+        };
+        let resolution = scene.camera.sensor.resolution.as_dvec2();
+        Ok(Pilot {
+            points: points.collect(),
+            pixels: resolution.element_product(),
+            columns: resolution.x,
+            looked_at: radii.iter().map(looked_at).collect::<Result<_>>()?,
+        })
+    }
 
-impl Compared<'_> {
-    fn frame(&self, frame: u32) -> Vec<PilotPoint> {
-        let scene = self.fine.scene;
-        let columns = scene.camera.sensor.resolution.x as usize;
-        let peaks = |simulation: &Simulation| {
-            let counts = simulation.counts(frame, &simulation.irradiance(frame));
-            simulation.peaks(&counts).0
-        };
-        let by_column = |peaks: Vec<Peak>| {
-            let mut rows = vec![None; columns];
-            for peak in peaks {
-                rows[peak.column as usize] = Some(peak.row);
-            }
-            rows
-        };
-        let fine = peaks(&self.fine);
-        let coarse = self.coarse.each_ref().map(|s| by_column(peaks(s)));
-        let geometry = by_column(self.geometric.geometric_peaks(frame).0);
-        // Without noise fainter lines are found than a real image would show.
-        let faintest = match scene.camera.sensor.noise {
-            Some(_) => WEAK_SNR * self.models.dark,
-            None => 0.0,
-        };
-        let deviations = self.models.deviations(&fine);
-        let seen = fine.iter().zip(deviations);
-        let seen = seen.filter(|(peak, _)| peak.flags.is_sound() && peak.height >= faintest);
-        let point = |(peak, [speckle, noise, per_count]): (&Peak, [f64; 3])| {
-            let column = peak.column as usize;
-            let place = DVec2::new(column as f64 + 0.5, peak.row);
-            let jacobian = self.fine.calibration.point_jacobian(place)?;
-            let off = |rows: &[Option<f64>]| rows[column].map(|row| row - peak.row);
+    /// Of lines without speckle and noise.
+    fn points(&self, peaks: &[Peak]) -> Vec<PilotPoint> {
+        let scene = self.full.scene;
+        let speckle = error_model(scene).without_shot();
+        let none = ErrorModel::new(scene.measure.finder, 0.0, None);
+        let [with, without] = [speckle, none].map(|model| {
+            let mut peaks = peaks.to_vec();
+            peaks.iter_mut().for_each(|peak| peak.noise = 0.0);
+            model.row_errors(&mut peaks, scene.camera.sensor.resolution.x as usize)
+        });
+        let point = |(i, peak): (usize, &Peak)| {
+            let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
+            let jacobian = self.full.calibration.point_jacobian(place)?;
+            // What is left without speckle is the finder's own bias.
+            let variance = with[i].sigma.powi(2) - without[i].sigma.powi(2);
             Some(PilotPoint {
                 um_per_px: jacobian.by_pixel[1].length() * 1e3,
                 // A line within one pixel measures as of no width.
                 sigma: peak.sigma.max(0.1),
-                height: peak.height,
-                speckle,
-                noise,
-                per_count,
-                geometry: off(&geometry),
-                coarse: coarse.each_ref().map(|rows| off(rows)),
+                speckle: variance.max(0.0).sqrt(),
             })
         };
-        seen.filter_map(point).collect()
+        let sound = peaks.iter().enumerate().filter(|(_, p)| p.flags.is_sound());
+        sound.filter_map(point).collect()
     }
+}
+
+impl Strip {
+    /// Its lines, found as if the sensor had no other columns.
+    fn peaks(&self, simulation: &Simulation) -> Vec<Peak> {
+        let first = self.columns.start as u32;
+        if simulation.plan.geometry_only {
+            let mut peaks = simulation.geometric_peaks(self.frame).0;
+            peaks.retain(|peak| self.columns.contains(&(peak.column as usize)));
+            return peaks;
+        }
+        let light = simulation.strip(self.frame, &self.columns);
+        let image = simulation.counts(self.frame, &light);
+        let rows = image.rows();
+        let pixels = rows * self.columns.start..rows * self.columns.end;
+        let counts = Counts::of_columns(image.by_column()[pixels].to_vec(), rows);
+        let mut peaks = simulation.peaks(&counts).0;
+        peaks.iter_mut().for_each(|peak| peak.column += first);
+        peaks
+    }
+}
+
+/// Whether two plans are the same in all that they choose.
+fn same_methods(a: &Plan, b: &Plan) -> bool {
+    let chosen = |plan: &Plan| {
+        let one = plan.samples_per_side == 1;
+        let rays = plan.sampling == Sampling::Rays && !one;
+        (plan.geometry_only, plan.noise, rays, plan.samples_per_side)
+    };
+    chosen(a) == chosen(b) && a.speckle == b.speckle && a.cutoff_radii == b.cutoff_radii
 }

@@ -1,13 +1,13 @@
 //! The plan of a scene: what its rules ask, what it names, and with a tolerance the
 //! cheapest that keeps it.
 
-use super::pilot::pilot;
+use super::search::{Choice, choose};
 use super::simulation::{hierarchy, plan};
 use super::tiers::in_words;
 use crate::accel::Accel;
 use crate::error::Result;
-use crate::integrator::accuracy::{Pilot, candidates, geometry_only};
-use crate::integrator::height_error::{HeightError, quantile};
+use crate::integrator::accuracy::geometry_only;
+use crate::integrator::height_error::quantile;
 use crate::integrator::plan::Effect;
 use crate::integrator::{Plan, Sampling};
 use crate::laser::CUTOFF_RADII;
@@ -17,12 +17,9 @@ use std::sync::Arc;
 
 const NAMED: &str = "named in [plan]";
 
-/// The plan of a scene as a run will follow it; with a tolerance builds the hierarchy.
+/// The plan of a scene as a run will follow it; builds the hierarchy.
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
-    match scene.tolerance_um {
-        None => Ok(told(&scene.methods, named(scene, plan(scene)))),
-        Some(_) => scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?)),
-    }
+    scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?))
 }
 
 /// What others are measured against: every sample traced, at least twice as many as the
@@ -34,12 +31,13 @@ pub(super) fn full(base: &Plan, plan: &Plan) -> Plan {
         sampling: Sampling::Rays,
         samples_per_side: (2 * most).max(8),
         cutoff_radii: CUTOFF_RADII,
+        speckle_slips: plan.speckle_slips,
         ..base.clone()
     }
 }
 
 /// `plan` with the methods that the scene names.
-fn named(scene: &Scene, mut plan: Plan) -> Plan {
+pub(super) fn named(scene: &Scene, mut plan: Plan) -> Plan {
     let methods = &scene.methods;
     plan.geometry_only = methods.geometry_only.unwrap_or(plan.geometry_only);
     if let Some(wanted) = methods.speckle {
@@ -121,34 +119,25 @@ fn noise_method(plan: &Plan) -> &'static str {
 
 /// The same over a hierarchy that is there.
 pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
-    let base = plan(scene);
+    let base = plan(scene, accel);
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(told(&scene.methods, named(scene, base)));
     };
-    let geometry = scene.laser.fan.is_some() && !scene.write_frames;
-    let plans = candidates(
-        &base,
-        geometry && scene.methods.geometry_only != Some(false),
-    );
-    let own = std::iter::once(base.clone());
-    let plans = own.chain(plans).map(|plan| named(scene, plan));
-    let mut plans: Vec<Plan> = plans.collect();
-    let pilot = pilot(scene, accel, &base, &plans)?;
-    if pilot.points.is_empty() {
-        // Nothing speaks for leaving anything out.
-        plans.truncate(1);
-    }
-    let (mut plan, accuracy) = pilot.choose(plans, tolerance);
-    plan.effects = effects(scene, &pilot, &base, &plan);
-    plan.accuracy = Some(accuracy);
-    Ok(plan)
+    let mut choice = choose(scene, accel, &base, tolerance)?;
+    let effects = effects(scene, &mut choice, &base)?;
+    Ok(Plan {
+        effects,
+        accuracy: Some(choice.accuracy),
+        ..choice.plan
+    })
 }
 
 /// The effects of a scene, what each does to its heights, and how it is modelled.
-fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect> {
+fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect>> {
     let methods = &scene.methods;
+    let plan = &choice.plan.clone();
     let mut list = List(Vec::new());
-    list.randomness(scene, pilot, plan);
+    list.randomness(scene, choice)?;
     let image = Plan {
         geometry_only: false,
         ..plan.clone()
@@ -157,39 +146,12 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         true => (NO_WIDTH, "no image is taken"),
         false => ("image", "bends, edges and shadows shape the line"),
     };
-    let width = list.add(
-        "width of the line",
-        !plan.geometry_only,
-        method,
-        pilot.geometry(),
-    );
+    let no_image = choice.influence(|finest| *finest = geometry_only(finest.clone()))?;
+    let width = list.add("width of the line", !plan.geometry_only, method, no_image);
     width.why = because(methods.geometry_only.is_some(), why);
-    width.cost_ms = Some(pilot.cost_ms(&image));
+    width.cost_ms = Some(choice.pilot.cost_ms(&image));
     if !plan.geometry_only {
-        let n = plan.samples_per_side;
-        let method = format!("{n} × {n} samples a pixel");
-        list.add("pixel integration", true, &method, pilot.samples(plan))
-            .why = because(methods.samples_per_side.is_some(), "what these still leave");
-        let (modelled, method) = match plan.sampling {
-            Sampling::Rays => (true, "a ray for each sample"),
-            Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
-            Sampling::Planes => (false, "flat between pixels, rays at edges"),
-        };
-        list.add(
-            "surface within a pixel",
-            modelled,
-            method,
-            pilot.planes(plan),
-        )
-        .why = because(methods.sampling.is_some(), "what facets that bend leave");
-        let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
-        list.add(
-            "light far from the line",
-            false,
-            &method,
-            pilot.cutoff(plan),
-        )
-        .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
+        list.image(methods, choice, plan)?;
     }
     let replaced = ["speckle", "pixel integration"];
     let others = base.effects.iter();
@@ -204,11 +166,11 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
             _ => return effect,
         };
         Effect {
-            influence_um: quantile(&pilot.widened(blur)),
+            influence_um: quantile(&choice.pilot.widened(blur)),
             ..effect
         }
     }));
-    list.0
+    Ok(list.0)
 }
 
 fn because(named: bool, why: &str) -> String {
@@ -226,31 +188,55 @@ impl List {
         effect: &'static str,
         modelled: bool,
         method: &str,
-        errors: Vec<HeightError>,
+        influence_um: Option<f64>,
     ) -> &mut Effect {
         self.0.push(Effect {
-            influence_um: quantile(&errors),
+            influence_um,
             ..Effect::new(effect, modelled, method.to_owned(), String::new())
         });
         self.0.last_mut().expect("it was pushed")
     }
 
-    fn randomness(&mut self, scene: &Scene, pilot: &Pilot, plan: &Plan) {
+    fn randomness(&mut self, scene: &Scene, choice: &mut Choice) -> Result<()> {
         let methods = &scene.methods;
-        let [speckle_ms, noise_ms] = pilot.cost_of_randomness_ms(plan);
+        let plan = &choice.plan.clone();
+        let [speckle_ms, noise_ms] = choice.pilot.cost_of_randomness_ms(plan);
         if scene.speckle.is_some() {
-            let method = speckle_method(plan);
+            let influence = choice.influence(|finest| finest.speckle = None)?;
             let modelled = plan.speckle.is_some();
-            let speckle = self.add("speckle", modelled, method, pilot.speckle());
+            let speckle = self.add("speckle", modelled, speckle_method(plan), influence);
             let why = format!("grain {:.2} px", plan.speckle_size_px);
             speckle.why = because(methods.speckle.is_some(), &why);
             speckle.cost_ms = Some(speckle_ms);
         }
         if scene.camera.sensor.noise.is_some() {
-            let method = noise_method(plan);
-            let noise = self.add("sensor noise", plan.noise, method, pilot.noise());
+            let influence = choice.influence(|finest| finest.noise = false)?;
+            let noise = self.add("sensor noise", plan.noise, noise_method(plan), influence);
             noise.why = because(methods.noise.is_some(), "shot noise and read noise");
             noise.cost_ms = Some(noise_ms);
         }
+        Ok(())
+    }
+
+    /// How images are made, and what that still leaves.
+    fn image(&mut self, methods: &PlanTable, choice: &mut Choice, plan: &Plan) -> Result<()> {
+        let n = plan.samples_per_side;
+        let method = format!("{n} × {n} samples a pixel");
+        let left = choice.influence(|finest| finest.samples_per_side = n)?;
+        self.add("pixel integration", true, &method, left).why =
+            because(methods.samples_per_side.is_some(), "what these still leave");
+        let (modelled, method) = match plan.sampling {
+            Sampling::Rays => (true, "a ray for each sample"),
+            Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
+            Sampling::Planes => (false, "flat between pixels, rays at edges"),
+        };
+        let left = choice.influence(|finest| finest.sampling = plan.sampling)?;
+        self.add("surface within a pixel", modelled, method, left)
+            .why = because(methods.sampling.is_some(), "what facets that bend leave");
+        let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
+        let left = choice.influence(|finest| finest.cutoff_radii = plan.cutoff_radii)?;
+        self.add("light far from the line", false, &method, left)
+            .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
+        Ok(())
     }
 }

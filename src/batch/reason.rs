@@ -83,6 +83,7 @@ impl From<Reason> for Warning {
     }
 }
 
+/// So many times, or the share of.
 fn times(ratio: f64) -> String {
     match ratio {
         r if r >= 1.0 => format!("{} times", short(r)),
@@ -90,148 +91,143 @@ fn times(ratio: f64) -> String {
     }
 }
 
-fn of_the_light(share: f64) -> String {
-    match share {
-        s if s > 0.995 => "All of the light".into(),
-        s => format!("{} % of the light", short(100.0 * s)),
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let text = self.of_the_result().or_else(|| self.of_the_setup());
+        f.write_str(&text.unwrap_or_else(|| self.of_the_light()))
     }
 }
 
-impl fmt::Display for Reason {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let range = |[near, far]: &[f64; 2]| format!("{} to {} mm", short(*near), short(*far));
-        match self {
+impl Reason {
+    fn of_the_result(&self) -> Option<String> {
+        Some(match self {
             Reason::NothingMeasured { frames } => {
-                write!(
-                    f,
-                    "Nothing was measured: no laser line was found in any of {frames} frames."
-                )
+                format!("Nothing was measured: no laser line was found in any of {frames} frames.")
             }
             Reason::EveryPointDoubtful {
                 points,
                 flag,
                 meaning,
                 flagged,
-            } => write!(
-                f,
+            } => format!(
                 "None of the {points} points is valid: each has a flag, most of them ({flagged}) \
                  the flag {flag}: {meaning}."
             ),
-            Reason::NoMotion { frames } => write!(
-                f,
-                "Head and part do not move: all {frames} frames are taken at the same place. Give \
-                 the path a step other than 0, or the scan one frame."
+            _ => return None,
+        })
+    }
+
+    /// Where sensor, path and part are.
+    fn of_the_setup(&self) -> Option<String> {
+        Some(match self {
+            Reason::NoMotion { frames } => format!(
+                "Sensor and part do not move: all {frames} frames are taken at the same place. \
+                 Give the path a step other than 0, or the scan one frame."
             ),
             Reason::UnitDoubtful {
                 part_mm,
                 field_mm,
                 unit,
                 likely,
-            } => {
-                write!(
-                    f,
-                    "The part is {} mm long, {} the {} mm that the sensor sees across. The unit \
-                     of its file, {unit}, is probably wrong",
-                    short(*part_mm),
-                    times(part_mm / field_mm),
-                    short(*field_mm)
-                )?;
+            } => format!(
+                "The part is {} mm long, {} the {} mm that the sensor sees across. The unit of \
+                 its file, {unit}, is probably wrong{}",
+                short(*part_mm),
+                times(part_mm / field_mm),
+                short(*field_mm),
                 match likely {
-                    Some(likely) => write!(f, ": try part.mesh.unit = \"{likely}\"."),
-                    None => write!(f, "; see part.mesh.unit."),
+                    Some(likely) => format!(": try part.mesh.unit = \"{likely}\"."),
+                    None => "; see part.mesh.unit.".to_owned(),
                 }
-            }
-            Reason::SensorInsidePart { body } => write!(
-                f,
+            ),
+            Reason::SensorInsidePart { body } => format!(
                 "The {body} is inside the part in the first frame. Move scan.start_mm or \
                  part.position_mm."
             ),
-            Reason::SensorThroughPart { body, frame } => write!(
-                f,
-                "The {body} passes through the part's surface between frames {frame} and {}. Move \
-                 the path away from the part.",
-                frame + 1
+            Reason::SensorThroughPart { body, frame } => format!(
+                "The {body} passes through the part's surface after frame {frame}. Move the path \
+                 away from the part."
             ),
-            Reason::LaserLooksAway => write!(
-                f,
-                "The laser looks away from the part, which is behind it in every frame. Turn \
-                 laser.direction round, or move the part."
-            ),
-            Reason::LightMissesPart { frame, by_mm } => write!(
-                f,
+            Reason::LaserLooksAway => "The laser looks away from the part, which is behind it in \
+                 every frame. Turn laser.direction round, or move the part."
+                .to_owned(),
+            Reason::LightMissesPart { frame, by_mm } => format!(
                 "The laser's light never meets the part: at the nearest, in frame {frame}, it \
                  passes {} mm beside it. Change the path (scan) or part.position_mm.",
                 short(*by_mm)
             ),
-            Reason::LightBesidePart => write!(
-                f,
-                "The laser's light never meets the part: its plane crosses the part's bounding \
-                 box, but its rays pass beside the part. Change part.position_mm or \
-                 laser.line.fan_deg."
-            ),
-            Reason::CameraLooksAway => write!(
-                f,
-                "The camera looks away from the laser's light and sees nothing of it, wherever \
-                 the part is. Point camera.look_at_mm at the laser's light."
-            ),
+            Reason::LightBesidePart => "The laser's light never meets the part: its plane crosses \
+                 the part's bounding box, but its rays pass the part by. Change part.position_mm \
+                 or laser.line.fan_deg."
+                .to_owned(),
+            Reason::CameraLooksAway => "The camera looks away from the laser's light and sees \
+                 nothing of it, wherever the part is. Point camera.look_at_mm at the laser's light."
+                .to_owned(),
+            _ => return None,
+        })
+    }
+
+    /// What becomes of the light on the part.
+    fn of_the_light(&self) -> String {
+        let share = match self {
+            Reason::AboveRange { share, .. }
+            | Reason::BelowRange { share, .. }
+            | Reason::HiddenFromCamera { share }
+            | Reason::TooDark { share, .. }
+            | Reason::Saturated { share, .. } => *share,
+            _ => 1.0,
+        };
+        let light = match share {
+            share if share > 0.995 => "All of the light".to_owned(),
+            share => format!("{} % of the light", short(100.0 * share)),
+        };
+        let rest = match self {
             Reason::AboveRange {
-                share,
                 by_mm,
-                range_mm,
-            } => write!(
-                f,
-                "{} falls on the part nearer to the laser than the measuring range, which is {} \
-                 from it along the beam: the part's top is {} mm above the near end. Move sensor \
-                 and part apart.",
-                of_the_light(*share),
-                range(range_mm),
+                range_mm: [near, far],
+                ..
+            } => format!(
+                "falls on the part nearer to the laser than the measuring range, which is {} to \
+                 {} mm from it along the beam: the part's top is {} mm above the near end. Move \
+                 sensor and part apart.",
+                short(*near),
+                short(*far),
                 short(*by_mm)
             ),
             Reason::BelowRange {
-                share,
                 by_mm,
-                range_mm,
-            } => write!(
-                f,
-                "{} falls on the part behind the measuring range, which is {} from the laser \
-                 along the beam: the part is up to {} mm below the far end. Move sensor and part \
-                 together.",
-                of_the_light(*share),
-                range(range_mm),
+                range_mm: [near, far],
+                ..
+            } => format!(
+                "falls on the part beyond the measuring range, which is {} to {} mm from the \
+                 laser along the beam: the part is up to {} mm below the far end. Move sensor and \
+                 part together.",
+                short(*near),
+                short(*far),
                 short(*by_mm)
             ),
-            Reason::OutOfView => write!(
-                f,
-                "All of the light falls on the part to the side of what the camera sees. Change \
-                 the path (scan), part.position_mm or camera.look_at_mm."
-            ),
-            Reason::HiddenFromCamera { share } => write!(
-                f,
-                "{} falls where the part itself hides it from the camera. Turn the part, or move \
-                 the camera nearer to the laser.",
-                of_the_light(*share)
-            ),
+            Reason::HiddenFromCamera { .. } => "falls where the part itself hides it from the \
+                 camera. Turn the part, or move the camera nearer to the laser."
+                .to_owned(),
             Reason::TooDark {
-                share,
                 counts,
                 least_counts,
-            } => write!(
-                f,
-                "{} gives too dark a line: at most {} counts above black are expected, and {} \
-                 are needed to tell it from noise. Raise camera.exposure_ms or laser.power_mw.",
-                of_the_light(*share),
+                ..
+            } => format!(
+                "gives too dark a line: at most {} counts above black are expected, and {} are \
+                 needed to tell it from noise. Raise camera.exposure_ms or laser.power_mw.",
                 short(*counts),
                 short(*least_counts)
             ),
-            Reason::Saturated { share, times } => write!(
-                f,
-                "{} saturates the sensor: up to {} times the counts of a full pixel are \
-                 expected. Lower camera.exposure_ms or laser.power_mw to 1/{} of what it is, or \
-                 less.",
-                of_the_light(*share),
-                short(*times),
+            Reason::Saturated { times, .. } => format!(
+                "saturates the sensor: up to {0} times the counts of a full pixel are expected. \
+                 Lower camera.exposure_ms or laser.power_mw to 1/{0} of what it is, or less.",
                 short(*times)
             ),
-        }
+            _ => "falls on the part to the side of what the camera sees. Change the path (scan), \
+                 part.position_mm or camera.look_at_mm."
+                .to_owned(),
+        };
+        format!("{light} {rest}")
     }
 }

@@ -1,6 +1,6 @@
 //! One frame with its truth, for looking at and for learning from.
 
-use super::{Control, Coverage, files};
+use super::{Control, Coverage, files, forecast};
 use crate::error::Result;
 use crate::inspect::picture::encode_counts;
 use crate::integrator::truth_layers;
@@ -30,6 +30,7 @@ pub fn render(
     control: &Control,
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
+    forecast::require_render(scene)?;
     files::create_folder(out)?;
     let simulation = coverage.simulation(scene, control)?;
     control.check()?;

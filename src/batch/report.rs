@@ -5,6 +5,7 @@ mod histograms;
 
 use super::scan::ScanSummary;
 use super::{Control, Simulation};
+use crate::camera::Camera;
 use crate::error::Result;
 use crate::inspect::chart::{color_bar, short};
 use crate::inspect::cloud::CloudPoint;
@@ -16,6 +17,7 @@ use crate::inspect::report::{ColorMap, Report};
 use crate::inspect::setup::Setup;
 use crate::inspect::viewer::{Layer, Mode, Viewer};
 use crate::integrator::plan::Effect;
+use crate::laser::Laser;
 use crate::math::DVec3;
 
 /// Points and places in the viewer: what half a megabyte holds.
@@ -88,7 +90,9 @@ impl Shown<'_> {
     fn facts(&self) -> Vec<(&'static str, String)> {
         let scene = self.simulation.scene;
         let plan = &self.simulation.plan;
-        let part = format!("{} triangles", scene.mesh.triangles.len());
+        let size = self.simulation.accel.bounds().size();
+        let [x, y, z] = size.to_array().map(short);
+        let part = format!("{}: {} triangles", scene.part, scene.mesh.triangles.len());
         let part = match scene.copies.len() {
             1 => part,
             copies => format!("{copies} copies of {part}"),
@@ -97,7 +101,9 @@ impl Shown<'_> {
             .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
         vec![
             ("scene", scene.path.display().to_string()),
-            ("part", part),
+            ("part", format!("{part}; {x} × {y} × {z} mm")),
+            ("laser", laser(&scene.laser)),
+            ("camera", camera(&scene.camera)),
             (
                 "frames",
                 format!(
@@ -312,6 +318,31 @@ impl Shown<'_> {
         };
         setup.drawings().into()
     }
+}
+
+/// A number of the scene, without the digits that conversion of its unit adds.
+fn given(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
+}
+
+fn laser(laser: &Laser) -> String {
+    let (power, wavelength) = (laser.beam.power_mw, given(laser.beam.wavelength * 1e6));
+    let shape = laser.fan.map_or("a spot".into(), |fan| {
+        format!("a line of {}°", given(fan.angle.to_degrees()))
+    });
+    format!("{wavelength} nm, {} mW, {shape}", given(power))
+}
+
+fn camera(camera: &Camera) -> String {
+    let (lens, sensor) = (&camera.lens, &camera.sensor);
+    format!(
+        "{} × {} pixels of {} µm, lens of {} mm at f/{}",
+        sensor.resolution.x,
+        sensor.resolution.y,
+        given(sensor.pixel_pitch * 1e3),
+        given(lens.focal_length),
+        given(lens.f_number)
+    )
 }
 
 /// Where the colours end: 98 of 100 sound points lie within; a nanometre where

@@ -6,7 +6,7 @@ use super::journal::{Journal, RunKey};
 use super::reason::Warning;
 use super::report::Shown;
 use super::warnings::{self, Foreseen};
-use super::{Control, Coverage, Simulation, files};
+use super::{Control, Coverage, Simulation, files, forecast};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::chart::short;
@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
@@ -70,6 +70,8 @@ struct Manifest<'a> {
     coverage: Coverage,
     plan: &'a Plan,
     threads: usize,
+    /// When the run ended, UTC.
+    date: String,
     seconds_prepare: f64,
     seconds_frames: f64,
     seconds_report: f64,
@@ -108,6 +110,7 @@ pub fn scan(
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
     check_geometry(scene, options)?;
+    forecast::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
     let key = RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         accel: scene.accel.version(),
@@ -116,9 +119,7 @@ pub fn scan(
         frames: frames.clone(),
         geometry_only: options.geometry_only,
     };
-    if options.strict {
-        refuse_worthless(scene, options, &frames, control)?;
-    }
+    refuse_worthless(scene, options, &frames, control)?;
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
@@ -126,12 +127,10 @@ pub fn scan(
         true => Simulation::of_geometry(scene, control.hierarchy(scene)?)?,
         false => options.coverage.simulation(scene, control)?,
     };
-    let geometry_only = simulation.plan.geometry_only;
     let prepared = Instant::now();
 
     let run = Run {
         simulation: &simulation,
-        geometry_only,
         out,
         control,
         done: AtomicU64::new(kept.len() as u64),
@@ -158,18 +157,17 @@ pub fn scan(
         coverage: options.coverage,
         plan: &simulation.plan,
         threads: rayon::current_num_threads(),
+        date: date(),
         seconds_prepare: (prepared - start).as_secs_f64(),
         seconds_frames: (measured - prepared).as_secs_f64(),
         seconds_report: measured.elapsed().as_secs_f64(),
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
-    if options.strict {
-        warnings::refuse(&summary.warnings)?;
-    }
+    warnings::refuse(&summary.warnings, options.strict)?;
     Ok(summary)
 }
 
-/// Refuses a scan that geometry and light say will give nothing worth having, while what
+/// Refuses, if the scan is strict, one that will give nothing worth having, while what
 /// an earlier run left is still there.
 fn refuse_worthless(
     scene: &Scene,
@@ -177,17 +175,20 @@ fn refuse_worthless(
     frames: &Range<u32>,
     control: &Control,
 ) -> Result<()> {
+    if !options.strict {
+        return Ok(());
+    }
     let accel = control.hierarchy(scene)?;
     let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
     let Foreseen { warnings, .. } = warnings::foreseen(scene, &accel, frames.clone(), images);
-    warnings::refuse(&warnings)
+    warnings::refuse(&warnings, true)
 }
 
 /// Makes the folders for profiles and frames, free of an earlier run's files if this
 /// one starts `anew`. The manifest goes first: from here on the run is not complete.
 fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
     let (profiles, frames) = (out.join("profiles"), out.join("frames"));
-    files::create_folder(&profiles)?;
+    files::create_own_folder(&profiles)?;
     for name in [
         "manifest.json",
         "summary.json",
@@ -206,7 +207,7 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
         files::remove_all(&frames, "frame-")?;
     }
     if scene.write_frames {
-        files::create_folder(&frames)?;
+        files::create_own_folder(&frames)?;
     }
     Ok(())
 }
@@ -335,6 +336,11 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     )))
 }
 
+/// Of now, in UTC.
+fn date() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
+
 /// What the report says of the run.
 fn run_table(
     key: &RunKey,
@@ -345,6 +351,7 @@ fn run_table(
     let rate = (key.frames.len() - kept) as f64 / taking.as_secs_f64();
     let seconds = |duration: Duration| format!("{} s", short(duration.as_secs_f64()));
     vec![
+        ("date", date()),
         ("lasertrace", key.version.clone()),
         ("intersection", key.accel.clone()),
         ("scene", format!("SHA-256 {}", key.scene_sha256)),

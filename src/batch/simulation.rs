@@ -1,6 +1,7 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
+use super::forecast;
 use super::measure::error_model;
 use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
@@ -8,14 +9,18 @@ use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, DarkCounts, Sensor};
 use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
+use crate::integrator::in_view::{InView, Optics};
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{Irradiance, Plan, Sheet, View, footprint_image, irradiance_image};
+use crate::integrator::{
+    Irradiance, Plan, Sheet, View, footprint_image, irradiance_image, lit_columns, strip_image,
+};
+use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
-use crate::math::{Aabb, Rigid};
 use crate::mesh::Watch;
-use crate::profile::{Calibration, ErrorModel};
-use crate::scene::{Motion, Scene, SpeckleModel};
+use crate::profile::{Calibration, ErrorModel, Peak};
+use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
+use std::ops::Range;
 use std::sync::Arc;
 
 pub struct Simulation<'s> {
@@ -24,7 +29,7 @@ pub struct Simulation<'s> {
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
-    speckle: Option<ScanSpeckle>,
+    speckle: Option<Arc<ScanSpeckle>>,
     /// `None`: every sample is traced.
     clusters: Option<Arc<Clusters>>,
     /// The scene's, without noise if the plan leaves it out.
@@ -82,7 +87,7 @@ impl<'s> Simulation<'s> {
     }
 
     pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
-        let plan = geometry_only(plan(scene));
+        let plan = geometry_only(plan(scene, &accel));
         Simulation::with_plan(scene, Arc::new(accel), plan)
     }
 
@@ -92,17 +97,46 @@ impl<'s> Simulation<'s> {
         accel: Arc<Accel<'s>>,
         plan: Plan,
     ) -> Result<Simulation<'s>> {
+        if !plan.geometry_only {
+            forecast::require_images(scene, 1)?;
+        }
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };
-                Some(ScanSpeckle::new(scene, &model, plan.speckle_slips)?)
+                let patterns = ScanSpeckle::new(scene, &model, plan.speckle_slips)?;
+                Some(Arc::new(patterns))
             }
             _ => None,
         };
+        Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+    }
+
+    /// The same done by another plan; patterns of speckle are shared where both have the
+    /// same.
+    pub(super) fn otherwise(&self, plan: Plan) -> Result<Simulation<'s>> {
+        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips);
+        let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
+            let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
+            Simulation::with_patterns(self.scene, self.accel.clone(), plan, shared)
+        } else {
+            Simulation::with_plan(self.scene, self.accel.clone(), plan)?
+        };
+        Ok(Simulation {
+            clusters: self.clusters.clone(),
+            ..other
+        })
+    }
+
+    fn with_patterns(
+        scene: &'s Scene,
+        accel: Arc<Accel<'s>>,
+        plan: Plan,
+        speckle: Option<Arc<ScanSpeckle>>,
+    ) -> Simulation<'s> {
         let mut sensor = scene.camera.sensor.clone();
         sensor.noise = sensor.noise.filter(|_| plan.noise);
         let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
-        Ok(Simulation {
+        Simulation {
             scene,
             accel,
             calibration: scene
@@ -121,12 +155,12 @@ impl<'s> Simulation<'s> {
                 .filter(|_| plan.geometry_only)
                 .map(sheet),
             plan,
-        })
+        }
     }
 
     /// Bytes of the patterns of speckle.
     pub(super) fn speckle_memory(&self) -> usize {
-        self.speckle.as_ref().map_or(0, ScanSpeckle::memory)
+        self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
     }
 
     pub fn view(&self, frame: u32) -> View<'_> {
@@ -144,7 +178,8 @@ impl<'s> Simulation<'s> {
             part_from_laser: part_from_head * scene.head_from_laser,
             camera: &scene.camera,
             part_from_camera: part_from_head * scene.head_from_camera,
-            speckle: self.speckle.as_ref().map(|p| p.at(place, &part_from_head)),
+            speckle: (self.speckle.as_ref())
+                .map(|speckle| speckle.at(scene, place, &part_from_head)),
             samples_per_side: self.plan.samples_per_side,
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,
@@ -153,15 +188,36 @@ impl<'s> Simulation<'s> {
 
     /// The light on the sensor in a frame, the mean over the poses of its exposure.
     pub fn irradiance(&self, frame: u32) -> Irradiance {
-        let image = |place| {
-            let view = self.view_at(place);
-            match &self.clusters {
-                Some(clusters) => footprint_image(&view, clusters),
-                None => irradiance_image(&view),
-            }
-        };
+        self.mean(frame, |view| match &self.clusters {
+            Some(clusters) => footprint_image(view, clusters),
+            None => irradiance_image(view),
+        })
+    }
+
+    /// The same in these columns alone, and dark elsewhere; of one that traces the
+    /// footprint.
+    pub(super) fn strip(&self, frame: u32, columns: &Range<usize>) -> Irradiance {
+        let clusters = self.clusters.as_ref().expect("it traces the footprint");
+        self.mean(frame, |view| strip_image(view, clusters, columns))
+    }
+
+    /// From the first column that may be lit in a frame to the last.
+    pub(super) fn lit_columns(&self, frame: u32) -> Option<Range<usize>> {
+        lit_columns(&self.view(frame), self.clusters.as_ref()?)
+    }
+
+    fn mean(&self, frame: u32, image: impl Fn(&View) -> Irradiance) -> Irradiance {
         let places = self.scene.scan.exposure_places(frame);
-        Irradiance::mean(places.map(image).collect())
+        let images = places.map(|place| image(&self.view_at(place)));
+        Irradiance::mean(images.collect())
+    }
+
+    /// The lines of a frame, from its image or, if the plan takes none, from geometry.
+    pub(super) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
+        match self.plan.geometry_only {
+            true => self.geometric_peaks(frame).0,
+            false => self.peaks(&self.counts(frame, &self.irradiance(frame))).0,
+        }
     }
 
     /// What the sensor makes of the light.
@@ -200,28 +256,35 @@ fn camera_from_laser(scene: &Scene) -> Rigid {
     scene.head_from_camera.inverse() * scene.head_from_laser
 }
 
-/// The plan for a scene: with the head in the middle of its way, and on a path that
-/// turns or wanders at nine places along it, since there the middle stands for no
-/// other.
-pub fn plan(scene: &Scene) -> Plan {
-    let scan = &scene.scan;
-    let corners = scene.bounds().corners();
-    let places = match scan.motion {
-        Motion::Linear { .. } => 1,
-        _ => 9,
-    };
-    let boxes: Vec<Aabb> = (1..=places)
-        .map(|i| {
-            let frame = (scan.frames as u64 * i / (places + 1)) as u32;
-            let laser_from_part = (scene.part_from_head(frame) * scene.head_from_laser).inverse();
-            Aabb::of(corners.map(|c| laser_from_part.point(c)))
-        })
-        .collect();
+/// What of the part the laser lights and the camera sees along the path, in which of its
+/// frames; empty if never.
+pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
+    let part_from_laser = |frame| scene.part_from_head(frame) * scene.head_from_laser;
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    InView::along(&optics, accel, scene.scan.frames, part_from_laser)
+}
+
+fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
+    Optics {
+        laser: &scene.laser,
+        camera: &scene.camera,
+        camera_from_laser,
+    }
+}
+
+/// The plan for what the sensor sees of the part; where that is nothing, for all that it
+/// could see.
+pub(super) fn plan(scene: &Scene, accel: &Accel) -> Plan {
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    let mut places = part_in_view(scene, accel).places;
+    if places.is_empty() {
+        places = optics.overlap();
+    }
     Plan::new(
-        &scene.laser,
-        &scene.camera,
-        &camera_from_laser(scene),
-        &boxes,
+        &optics,
+        &places,
         exposure_motion(scene),
         scene.speckle.as_ref().map(|s| SpeckleOptics {
             method: s.method,

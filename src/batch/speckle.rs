@@ -4,7 +4,7 @@ use super::{Control, files};
 use crate::error::Result;
 use crate::inspect::picture::encode_for_eyes;
 use crate::math::DVec2;
-use crate::speckle::coordinate::{Coordinate, GrainMap};
+use crate::speckle::coordinate::Coordinate;
 use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::pattern::{PatternSpec, PhasorPlane};
 use crate::speckle::statistics::{SpeckleStatistics, measure};
@@ -109,11 +109,11 @@ fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
     let mut grains = Vec::new();
     for (i, f_number) in F_NUMBERS.into_iter().enumerate() {
         let h = WAVELENGTH * f_number * (1.0 + magnification);
-        let map = GrainMap::new(spec.texels_per_speckle, h, DVec2::ZERO);
+        let texels_per_mm = spec.texels_per_speckle / h;
         let intensity: Vec<f64> = (0..SIDE * SIDE)
             .map(|k| {
-                let place = DVec2::new((k % SIDE) as f64, (k / SIDE) as f64) * STEP;
-                let DVec2 { x: s, y: t } = map.position(place, DVec2::ZERO);
+                let texels = |step: usize| step as f64 * STEP * texels_per_mm;
+                let (s, t) = (texels(k % SIDE), texels(k / SIDE));
                 lookup.intensity(Coordinate { s, t, u: 0.0 }) as f64
             })
             .collect();

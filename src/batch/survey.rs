@@ -25,7 +25,8 @@ pub(super) enum Fate {
     /// The camera sees where it ends; expected counts above black in the middle of the
     /// line there, as if the sensor had no greatest count.
     Seen(f64),
-    /// It ends before the part of the ray that the camera sees, so far, mm along the beam.
+    /// It ends nearer to the laser than the sensor's first or last row sees the ray, so far,
+    /// mm along the beam.
     TooNear(f64),
     /// Behind it.
     TooFar(f64),
@@ -60,7 +61,9 @@ pub(super) enum Miss {
 struct Direction {
     /// Laser frame, unit.
     along: DVec3,
-    /// Distances along it, mm.
+    /// Distances along it, mm, that are imaged between the sensor's first row and last.
+    in_rows: Option<[f64; 2]>,
+    /// Those that are imaged on the sensor.
     seen: Option<[f64; 2]>,
 }
 
@@ -179,25 +182,30 @@ fn directions(scene: &Scene) -> Vec<Direction> {
     };
     let direction = |angle: &f64| {
         let along = DVec3::new(angle.sin(), 0.0, angle.cos());
-        let sees = |t: f64| {
-            let place = camera_from_laser.point(along * t);
-            let pixel = projector.project(place);
-            pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmple(resolution).all())
-        };
-        let inside = |&i: &usize| sees(distances[i]);
-        let first = (0..distances.len()).find(inside);
-        let seen = first.map(|first| {
-            let last = (first..distances.len()).rev().find(inside);
-            let last = last.unwrap_or(first);
-            let outside = |i: Option<usize>| i.and_then(|i| distances.get(i).copied());
-            [
-                edge(distances[first], outside(first.checked_sub(1)), &sees),
-                edge(distances[last], outside(Some(last + 1)), &sees),
-            ]
-        });
-        Direction { along, seen }
+        let pixel = |t: f64| projector.project(camera_from_laser.point(along * t));
+        let between = |x: f64, most: f64| (0.0..=most).contains(&x);
+        let in_rows = |t: f64| pixel(t).is_some_and(|p| between(p.y, resolution.y));
+        let in_columns = |t: f64| pixel(t).is_some_and(|p| between(p.x, resolution.x));
+        Direction {
+            along,
+            in_rows: interval(&distances, &in_rows),
+            seen: interval(&distances, &|t| in_rows(t) && in_columns(t)),
+        }
     };
     angles.iter().map(direction).collect()
+}
+
+/// The least and the greatest distance that `sees` holds for, one of `distances` or beside
+/// one; `None` if it holds for none of them.
+fn interval(distances: &[f64], sees: &impl Fn(f64) -> bool) -> Option<[f64; 2]> {
+    let first = distances.iter().position(|&t| sees(t))?;
+    let last = distances.iter().rposition(|&t| sees(t))?;
+    let before = first.checked_sub(1).map(|i| distances[i]);
+    let after = distances.get(last + 1).copied();
+    Some([
+        edge(distances[first], before, sees),
+        edge(distances[last], after, sees),
+    ])
 }
 
 /// Where between `inside` and `outside` seeing ends; `inside` if nothing is outside.
@@ -273,7 +281,7 @@ struct Follow<'a> {
 
 impl Follow<'_> {
     fn fate(&self, direction: &Direction, hit: Hit) -> Fate {
-        let Some([near, far]) = direction.seen else {
+        let Some([near, far]) = direction.in_rows else {
             return Fate::OutOfView;
         };
         if hit.t < near {
@@ -281,6 +289,12 @@ impl Follow<'_> {
         }
         if hit.t > far {
             return Fate::TooFar((hit.t - far) * direction.along.z);
+        }
+        if direction
+            .seen
+            .is_none_or(|[near, far]| hit.t < near || hit.t > far)
+        {
+            return Fate::OutOfView;
         }
         let start = hit.point + hit.normal * self.accel.resolution();
         let sight = Ray::between(start, self.eye);

@@ -1,21 +1,16 @@
 //! Ways of doing a scene's frames, side by side: what each finds and how far that is
 //! from what another found.
 
-use super::chart::at_share;
 use super::planner::{full, scene_plan_with};
-use super::simulation::hierarchy;
 use super::{Coverage, Simulation};
 use crate::accel::{Accel, Backend, Clusters};
 use crate::error::Result;
 use crate::integrator::accuracy::geometry_only;
 use crate::integrator::{Plan, Sampling};
-use crate::math::DVec2;
-use crate::profile::{Calibration, Peak, PeakFinder, PeakSettings, find_peaks};
+use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
-use serde::Serialize;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// One way of doing a frame.
 pub struct Tier<'s> {
@@ -50,8 +45,11 @@ impl Tier<'_> {
             finder: self.finder,
             ..self.simulation.peak_settings()
         };
+        let mut peaks = find_peaks(&counts, &settings);
+        // Takes back the flags of those whose uncertainty is stated for what they warn of.
+        (self.simulation.errors).row_errors(&mut peaks, counts.columns());
         TierFrame {
-            peaks: find_peaks(&counts, &settings),
+            peaks,
             pixels: irradiance.looked_at(),
         }
     }
@@ -115,7 +113,7 @@ impl<'s> Tiers<'s> {
     /// All that this program can do; the full model first.
     pub fn all(scene: &'s Scene, accel: Accel<'s>) -> Result<Tiers<'s>> {
         let mut tiers = Tiers::none(scene, accel);
-        let base = super::plan(scene);
+        let base = super::simulation::plan(scene, &tiers.accel);
         let n = base.samples_per_side;
         let plan = scene_plan_with(scene, &tiers.accel)?;
         let most = full(&base, &plan);
@@ -289,108 +287,4 @@ fn difference(plan: &Plan, base: &Plan) -> String {
     let mut words = words(plan);
     words.retain(|word| !base.contains(word));
     words.join(", ")
-}
-
-/// How far heights are from others of the same columns. Medians and percentiles, as
-/// single points at edges may be anywhere.
-#[derive(Debug, Clone, Serialize)]
-pub struct HeightErrors {
-    /// Sound points that are compared with.
-    pub points: usize,
-    /// Median, µm; positive: nearer to the laser.
-    pub bias_um: f64,
-    /// Half of what holds the middle 68.3 of 100 differences, µm.
-    pub noise_um: f64,
-    /// 99 of 100 are within ± this, µm, lost points being beyond all; `None` if more
-    /// are lost, and without points.
-    pub within_um: Option<f64>,
-    /// Share that is missing here.
-    pub lost: f64,
-    /// Differences, µm, in rising order; infinite where the point is missing.
-    #[serde(skip)]
-    sorted: Vec<f64>,
-}
-
-impl HeightErrors {
-    /// Of `found` against the sound lines of `truth`, frame by frame.
-    pub fn of(
-        frames: &[(Vec<Peak>, Vec<Peak>)],
-        calibration: &Calibration,
-        sign: f64,
-    ) -> HeightErrors {
-        let mut sorted = Vec::new();
-        for (found, truth) in frames {
-            let mut found = found.iter().peekable();
-            for peak in truth {
-                while found.next_if(|p| p.column < peak.column).is_some() {}
-                if !peak.flags.is_sound() {
-                    continue;
-                }
-                let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
-                let Some(jacobian) = calibration.point_jacobian(place) else {
-                    continue;
-                };
-                let um_per_px = jacobian.by_pixel[1].length() * 1e3 * sign;
-                let other = found.peek().filter(|p| p.column == peak.column);
-                sorted.push(other.map_or(f64::INFINITY, |p| (p.row - peak.row) * um_per_px));
-            }
-        }
-        sorted.sort_by(f64::total_cmp);
-        let missing = sorted.iter().filter(|d| d.is_infinite()).count();
-        let there = &sorted[..sorted.len() - missing];
-        let mut sizes: Vec<f64> = sorted.iter().map(|d| d.abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        HeightErrors {
-            points: sorted.len(),
-            bias_um: at_share(there, 0.5),
-            noise_um: (at_share(there, 0.8413) - at_share(there, 0.1587)) / 2.0,
-            within_um: Some(at_share(&sizes, 0.99))
-                .filter(|um| um.is_finite() && !sizes.is_empty()),
-            lost: missing as f64 / sorted.len().max(1) as f64,
-            sorted,
-        }
-    }
-
-    /// Share of points beyond ± `um`, those that are lost among them.
-    pub fn share_beyond(&self, um: f64) -> f64 {
-        let beyond = self.sorted.iter().filter(|d| d.abs() > um).count();
-        beyond as f64 / self.sorted.len().max(1) as f64
-    }
-}
-
-/// Whether a plan does what it promised.
-#[derive(Debug, Clone, Serialize)]
-pub struct Kept {
-    pub plan: Plan,
-    /// Against the full model, over the frames taken.
-    pub error: HeightErrors,
-    /// Share of points off by more than was planned for.
-    pub beyond: f64,
-    /// Times of the full model and of the plan, ms for all frames.
-    pub ms: [f64; 2],
-}
-
-/// Holds the plan of a scene with a tolerance against the full model, in `frames`.
-pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
-    let mut tiers = Tiers::none(scene, hierarchy(scene, &|_| Ok(()))?);
-    let plan = scene_plan_with(scene, &tiers.accel)?;
-    let most = full(&super::plan(scene), &plan);
-    tiers.add("full model", most, Coverage::Exhaustive)?;
-    tiers.add("plan", plan.clone(), Coverage::Footprint)?;
-    let [full, planned] = [0, 1].map(|i| {
-        let start = Instant::now();
-        let peaks = frames.iter().map(|&f| tiers.list[i].frame(f).peaks);
-        let peaks: Vec<Vec<Peak>> = peaks.collect();
-        (peaks, start.elapsed().as_secs_f64() * 1e3)
-    });
-    let pairs: Vec<_> = planned.0.into_iter().zip(full.0).collect();
-    let calibration = &tiers.list[0].simulation.calibration;
-    let error = HeightErrors::of(&pairs, calibration, 1.0);
-    let planned_um = plan.accuracy.as_ref().map_or(0.0, |a| a.planned_um);
-    Ok(Kept {
-        plan,
-        beyond: error.share_beyond(planned_um),
-        error,
-        ms: [full.1, planned.1],
-    })
 }

@@ -69,9 +69,9 @@ pub(super) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) 
     result.chain(foreseen.iter().cloned()).collect()
 }
 
-/// An error that says all of them, if there are any.
-pub fn refuse(warnings: &[Warning]) -> Result<()> {
-    match warnings.is_empty() {
+/// If `strict`, an error that says all of them, if there are any.
+pub fn refuse(warnings: &[Warning], strict: bool) -> Result<()> {
+    match warnings.is_empty() || !strict {
         true => Ok(()),
         false => Err(Error::Warned(
             warnings.iter().map(|w| w.message.clone()).collect(),
@@ -182,81 +182,76 @@ fn of_the_survey(scene: &Scene, survey: &Survey, images: bool) -> Vec<Reason> {
     let Some(range) = survey.range else {
         return vec![Reason::CameraLooksAway];
     };
+    // A fan may well be wider than the view.
+    let in_view = |fate: &&Fate| **fate != Fate::OutOfView;
+    let fates: Vec<Fate> = survey.fates.iter().filter(in_view).copied().collect();
+    match (survey.fates.is_empty(), fates.is_empty()) {
+        (true, _) => Vec::new(),
+        (false, true) => vec![Reason::OutOfView],
+        (false, false) => of_the_light(scene, &fates, range, images),
+    }
+}
+
+/// Of light that falls on the part in view.
+fn of_the_light(scene: &Scene, fates: &[Fate], range: MeasuringRange, images: bool) -> Vec<Reason> {
     let range_mm = [range.near_mm, range.far_mm];
-    let least = least_counts(scene);
     let sensor = &scene.camera.sensor;
+    let least_counts = least_counts(scene);
     let full = sensor.saturation_count() as f64 - sensor.black_level_dn;
     let contrast = scene.speckle.map_or(0.0, |s| s.coherence.contrast());
-    let most = full * blinding_height(contrast * contrast);
-    // A fan may well be wider than the view.
-    let aside = survey.fates.iter().filter(|f| **f == Fate::OutOfView);
-    let lit = (survey.fates.len() - aside.count()) as f64;
-    if survey.fates.is_empty() {
-        return Vec::new();
-    }
-    if lit == 0.0 {
-        return vec![Reason::OutOfView];
-    }
-    // Share of the light in view with a fate, and the greatest number that goes with it.
+    let blinding = full * blinding_height(contrast * contrast);
+    // Share of the light with a fate, and the greatest number that goes with it.
     let of = |number: &dyn Fn(&Fate) -> Option<f64>| {
-        let numbers: Vec<f64> = survey.fates.iter().filter_map(number).collect();
-        let greatest = numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        (numbers.len() as f64 / lit, greatest)
+        let numbers: Vec<f64> = fates.iter().filter_map(number).collect();
+        let greatest = numbers.iter().copied().fold(0.0, f64::max);
+        (numbers.len() as f64 / fates.len() as f64, greatest)
     };
-    let (near, above) = of(&|f| {
-        if let Fate::TooNear(by) = f {
-            Some(*by)
-        } else {
-            None
-        }
-    });
-    let (far, below) = of(&|f| {
-        if let Fate::TooFar(by) = f {
-            Some(*by)
-        } else {
-            None
-        }
-    });
-    let (hidden, _) = of(&|f| (*f == Fate::Hidden).then_some(0.0));
-    let seen = |f: &Fate| {
-        if let Fate::Seen(counts) = f {
-            Some(*counts)
-        } else {
-            None
-        }
+    let counts = |fate: &Fate, holds: &dyn Fn(f64) -> bool| match fate {
+        Fate::Seen(counts) if images && holds(*counts) => Some(*counts),
+        _ => None,
     };
-    let (dark, brightest) = of(&|f| seen(f).filter(|&c| images && c < least));
-    let (bright, most_counts) = of(&|f| seen(f).filter(|&c| images && c > most));
-    let all = [near, far, hidden, dark, bright];
-    if 1.0 - all.iter().sum::<f64>() >= WORTH_HAVING {
+    let near = of(&|fate| match fate {
+        Fate::TooNear(by_mm) => Some(*by_mm),
+        _ => None,
+    });
+    let far = of(&|fate| match fate {
+        Fate::TooFar(by_mm) => Some(*by_mm),
+        _ => None,
+    });
+    let hidden = of(&|fate| (*fate == Fate::Hidden).then_some(0.0));
+    let dark = of(&|fate| counts(fate, &|c| c < least_counts));
+    let bright = of(&|fate| counts(fate, &|c| c > blinding));
+    let above = |(share, by_mm)| Reason::AboveRange {
+        share,
+        by_mm,
+        range_mm,
+    };
+    let below = |(share, by_mm)| Reason::BelowRange {
+        share,
+        by_mm,
+        range_mm,
+    };
+    let too_dark = |(share, counts)| Reason::TooDark {
+        share,
+        counts,
+        least_counts,
+    };
+    let saturated = |(share, counts)| Reason::Saturated {
+        share,
+        times: counts / full,
+    };
+    let all = [
+        (near.0, above(near)),
+        (far.0, below(far)),
+        (hidden.0, Reason::HiddenFromCamera { share: hidden.0 }),
+        (dark.0, too_dark(dark)),
+        (bright.0, saturated(bright)),
+    ];
+    let shares = || all.iter().map(|(share, _)| *share);
+    if 1.0 - shares().sum::<f64>() >= WORTH_HAVING {
         return Vec::new();
     }
-    let reasons = [
-        Reason::AboveRange {
-            share: near,
-            by_mm: above,
-            range_mm,
-        },
-        Reason::BelowRange {
-            share: far,
-            by_mm: below,
-            range_mm,
-        },
-        Reason::HiddenFromCamera { share: hidden },
-        Reason::TooDark {
-            share: dark,
-            counts: brightest,
-            least_counts: least,
-        },
-        Reason::Saturated {
-            share: bright,
-            times: most_counts / full,
-        },
-    ];
-    let named = all.iter().copied().fold(0.0, f64::max).min(WORTH_NAMING);
-    let named = all
-        .into_iter()
-        .zip(reasons)
-        .filter(|(share, _)| *share >= named);
+    let named = shares().fold(0.0, f64::max).min(WORTH_NAMING);
+    let named = all.into_iter().filter(|(share, _)| *share >= named);
     named.map(|(_, reason)| reason).collect()
 }

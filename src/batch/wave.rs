@@ -2,7 +2,6 @@
 //! patch of a scene.
 
 use super::scan_speckle::surface_view;
-use super::simulation::Simulation;
 use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
@@ -15,15 +14,20 @@ use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{Motion, SurfaceView};
 use crate::speckle::pattern::Aperture;
-use crate::speckle::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field};
+use crate::speckle::wave::{
+    ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
+};
 use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise};
-use crate::speckle::wave_motion::{MotionCase, MotionRow, WaveSampling, measure_motions};
+use crate::speckle::wave_motion::{
+    MotionCase, MotionRow, WaveSampling, measure_motions, motion_terms,
+};
 use crate::speckle::wave_patch::{lit, patch_filling_view};
 use crate::speckle::wave_plot::{centroid_plot, motion_plot};
 use crate::speckle::wave_spot::{SpotRow, limit_setups, spot_height_noise};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// How much to simulate.
 #[derive(Debug, Clone, Copy)]
@@ -71,7 +75,11 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         realisations: effort.realisations,
         seed: effort.seed,
     };
-    let motions = measured(&reference_cases(), &sampling, control)?;
+    let mut motions = Vec::new();
+    for (i, case) in reference_cases().iter().enumerate() {
+        motions.push(measured(case, i, &sampling, control)?);
+        (control.progress)(i as u64 + 1);
+    }
     let centroids = line_centroid_noise(&LineSetup {
         wavelength_mm: REFERENCE_WAVELENGTH_MM,
         distance: 300.0,
@@ -102,34 +110,30 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
     Ok(summary)
 }
 
-/// The patch on which the laser's axis falls in a frame: its coherent image,
-/// `patch.png`, and what one, two and four steps of the scan do to its speckle,
-/// `motion.svg`; all numbers in `wave.json`.
-pub fn wave_patch(
-    scene: &Scene,
-    frame: u32,
-    effort: WaveEffort,
-    out: &Path,
-    control: &Control,
-) -> Result<WaveSummary> {
-    super::check_frame(scene, frame)?;
+/// The patch's coherent image, `patch.png`, and what one, two and four steps of the scan
+/// do to its speckle, `motion.svg`; all numbers in `wave.json`.
+pub fn wave_patch(patch: &WavePatch, out: &Path, control: &Control) -> Result<WaveSummary> {
     files::create_folder(out)?;
-    let view = patch_view(scene, frame)?;
-    let cases = [1.0, 2.0, 4.0].map(|steps| MotionCase {
-        name: format!("{steps} steps of the scan"),
-        view,
-        motion: steps_of_scan(scene, &view, frame, steps),
-    });
-    let sampling = WaveSampling {
-        wavelength_mm: scene.laser.beam.wavelength,
-        region_grains: REGION_GRAINS,
-        realisations: effort.realisations,
-        seed: effort.seed,
-    };
-    let motions = measured(&cases, &sampling, control)?;
-    let image = line_image(scene, &view, effort.seed)?;
+    let seed = patch.sampling.seed;
+    let all: f64 = patch.terms.iter().sum();
+    let told = |terms: f64| (control.progress)((terms / all * PATCH_STEPS as f64) as u64);
+    let mut done = 0.0;
+    let mut motions = Vec::new();
+    for (i, (case, terms)) in patch.cases.iter().zip(patch.terms).enumerate() {
+        motions.push(measured(case, i, &patch.sampling, control)?);
+        done += terms;
+        told(done);
+    }
+    control.check()?;
+    let samples = pupil_samples(patch.image.window / patch.image.grain);
+    let sampled = AtomicU64::new(0);
+    let image = patch.image.take(patch.scene, seed, &|| {
+        let share = sampled.fetch_add(1, Relaxed) as f64 / samples;
+        told(done + patch.terms[3] * share.min(1.0));
+    })?;
+    control.check()?;
     let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
-    let textures = textures(&motions, effort.seed)?;
+    let textures = textures(&motions, seed)?;
     files::write_bytes(&pictures[1], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
@@ -165,21 +169,17 @@ fn steps_of_scan(scene: &Scene, view: &SurfaceView, frame: u32, steps: f64) -> M
     }
 }
 
+/// A row of motions; every row has surfaces of its own.
 fn measured(
-    cases: &[MotionCase],
+    case: &MotionCase,
+    row: usize,
     sampling: &WaveSampling,
     control: &Control,
-) -> Result<Vec<MotionRow>> {
-    let mut rows = Vec::new();
-    for (i, case) in cases.iter().enumerate() {
-        control.check()?;
-        // One by one for the progress; every row keeps its own surfaces.
-        let seed = sampling.seed.wrapping_add(i as u64);
-        let sampling = WaveSampling { seed, ..*sampling };
-        rows.extend(measure_motions(std::slice::from_ref(case), &sampling)?);
-        (control.progress)(i as u64 + 1);
-    }
-    Ok(rows)
+) -> Result<MotionRow> {
+    control.check()?;
+    let seed = sampling.seed.wrapping_add(row as u64);
+    let sampling = WaveSampling { seed, ..*sampling };
+    Ok(measure_motions(std::slice::from_ref(case), &sampling)?.remove(0))
 }
 
 /// γ as the fields of a scan's frames show it before and after each motion: the
@@ -225,15 +225,15 @@ pub fn reference_motions() -> usize {
 
 /// The scene's view of the surface on which the laser's axis falls, in the head's
 /// frame.
-fn patch_view(scene: &Scene, frame: u32) -> Result<SurfaceView> {
-    let simulation = Simulation::new(scene)?;
-    let laser = simulation.view(frame).part_from_laser;
+fn patch_view(scene: &Scene, frame: u32, control: &Control) -> Result<SurfaceView> {
+    let accel = control.hierarchy(scene)?;
+    let laser = scene.part_from_head(frame) * scene.head_from_laser;
     let ray = Ray {
         origin: laser.translation,
         direction: laser.rotation.z_axis,
         t_max: f64::INFINITY,
     };
-    let hit = simulation.accel.closest(&[ray], |_, _| true)[0].ok_or_else(|| {
+    let hit = accel.closest(&[ray], |_, _| true)[0].ok_or_else(|| {
         Error::Usage(format!(
             "--frame {frame}: the axis of the laser meets no surface there"
         ))
@@ -245,47 +245,152 @@ fn patch_view(scene: &Scene, frame: u32) -> Result<SurfaceView> {
     })
 }
 
-/// Coherent image of the laser's light on the plane of `view`.
-fn line_image(scene: &Scene, view: &SurfaceView, seed: u64) -> Result<WaveImage> {
-    let ray = view.pupil_centre - view.point;
-    let length = ray.length();
-    let wavelength = scene.laser.beam.wavelength;
-    let grain = wavelength * length / view.pupil_diameter;
-    let right = (view.image_x - ray * (view.image_x.dot(ray) / ray.length_squared())).normalize();
-    let up = (ray / length).cross(right);
-    let laser_from_head = scene.head_from_laser.inverse();
-    let width = scene
-        .laser
-        .beam
-        .radius(laser_from_head.point(view.point).length());
-    // The light and eight grains of the lens's wings, in a window of 40 at least.
-    let window = (4.0 * width + 8.0 * grain).max(40.0 * grain);
-    let pixels = (window / grain * 8.0 / 16.0).ceil() as usize * 16;
-    let grid = ImageGrid {
-        pixels,
-        pixel_mm: window / pixels as f64,
-        focus_distance: length,
-    };
-    let points = patch_filling_view(
-        view.point,
-        view.normal,
-        [right, up],
-        DVec2::splat(window),
-        DVec2::splat(grain / 8f64.sqrt()),
-        2.0 * wavelength,
-    )
-    .points(Key::new(seed, Purpose::WaveScatterers));
-    let irradiance = |p: DVec3| {
-        let light = scene.laser.at(laser_from_head.point(p));
-        light.map_or(0.0, |light| light.flux.length())
-    };
-    let scatterers = lit(&points, &view.source, view.point, irradiance);
-    let pupil = Pupil {
-        centre: view.pupil_centre,
-        right,
-        up,
-        diameter: view.pupil_diameter,
-    };
-    let field = pupil_field(&scatterers, &pupil, wavelength, &grid)?;
-    Ok(intensity_at_focus(&field, &grid))
+/// The coherent image of the laser's light on the plane of a view, to be taken.
+struct LineImage {
+    view: SurfaceView,
+    grain: f64,
+    /// Width of image and patch, mm.
+    window: f64,
 }
+
+impl LineImage {
+    fn new(scene: &Scene, view: &SurfaceView) -> LineImage {
+        let length = (view.pupil_centre - view.point).length();
+        let grain = scene.laser.beam.wavelength * length / view.pupil_diameter;
+        let laser_from_head = scene.head_from_laser.inverse();
+        let from_laser = laser_from_head.point(view.point).length();
+        let width = scene.laser.beam.radius(from_laser);
+        LineImage {
+            view: *view,
+            grain,
+            // The light and eight grains of the lens's wings, in a window of 40 at least.
+            window: (4.0 * width + 8.0 * grain).max(40.0 * grain),
+        }
+    }
+
+    /// Terms of its sum over scatterers and pupil.
+    fn terms(&self) -> f64 {
+        let grains = self.window / self.grain;
+        SCATTERERS_A_GRAIN * grains * grains * pupil_samples(grains)
+    }
+
+    fn take(&self, scene: &Scene, seed: u64, sampled: &(dyn Fn() + Sync)) -> Result<WaveImage> {
+        let view = &self.view;
+        let ray = view.pupil_centre - view.point;
+        let length = ray.length();
+        let wavelength = scene.laser.beam.wavelength;
+        let right = view.image_x - ray * (view.image_x.dot(ray) / ray.length_squared());
+        let right = right.normalize();
+        let up = (ray / length).cross(right);
+        let pixels = (self.window / self.grain * 8.0 / 16.0).ceil() as usize * 16;
+        let grid = ImageGrid {
+            pixels,
+            pixel_mm: self.window / pixels as f64,
+            focus_distance: length,
+        };
+        let points = patch_filling_view(
+            view.point,
+            view.normal,
+            [right, up],
+            DVec2::splat(self.window),
+            DVec2::splat(self.grain / SCATTERERS_A_GRAIN.sqrt()),
+            2.0 * wavelength,
+        )
+        .points(Key::new(seed, Purpose::WaveScatterers));
+        let laser_from_head = scene.head_from_laser.inverse();
+        let irradiance = |p: DVec3| {
+            let light = scene.laser.at(laser_from_head.point(p));
+            light.map_or(0.0, |light| light.flux.length())
+        };
+        let scatterers = lit(&points, &view.source, view.point, irradiance);
+        let pupil = Pupil {
+            centre: view.pupil_centre,
+            right,
+            up,
+            diameter: view.pupil_diameter,
+        };
+        let field = pupil_field_watched(&scatterers, &pupil, wavelength, &grid, sampled)?;
+        Ok(intensity_at_focus(&field, &grid))
+    }
+}
+
+/// What a patch of a scene asks of the wave-optics reference.
+pub struct WavePatch<'s> {
+    scene: &'s Scene,
+    cases: [MotionCase; 3],
+    sampling: WaveSampling,
+    image: LineImage,
+    /// Of each case and of the image.
+    terms: [f64; 4],
+}
+
+impl<'s> WavePatch<'s> {
+    /// The patch on which the laser's axis falls in a frame.
+    ///
+    /// # Errors
+    /// A frame that the scan does not have; no surface there; [`Error::Usage`] for a
+    /// patch of more than [`MOST_TERMS`] terms.
+    pub fn new(
+        scene: &'s Scene,
+        frame: u32,
+        effort: WaveEffort,
+        control: &Control,
+    ) -> Result<WavePatch<'s>> {
+        super::check_frame(scene, frame)?;
+        let view = patch_view(scene, frame, control)?;
+        let cases = [1.0, 2.0, 4.0].map(|steps| MotionCase {
+            name: format!("{steps} steps of the scan"),
+            view,
+            motion: steps_of_scan(scene, &view, frame, steps),
+        });
+        let sampling = WaveSampling {
+            wavelength_mm: scene.laser.beam.wavelength,
+            region_grains: REGION_GRAINS,
+            realisations: effort.realisations,
+            seed: effort.seed,
+        };
+        let image = LineImage::new(scene, &view);
+        let mut terms = [0.0, 0.0, 0.0, image.terms()];
+        for (terms, case) in terms.iter_mut().zip(&cases) {
+            *terms = motion_terms(case, &sampling)?;
+        }
+        let all: f64 = terms.iter().sum();
+        if all <= MOST_TERMS {
+            return Ok(WavePatch {
+                scene,
+                cases,
+                sampling,
+                image,
+                terms,
+            });
+        }
+        let window_mm = image.window;
+        let grains = window_mm / image.grain;
+        Err(Error::Usage(format!(
+            "the wave-optics reference of {} adds up {all:.1e} terms, at most {MOST_TERMS:.0e} \
+             are taken (some {:.0} hours on one core): the laser's light with its surroundings \
+             is {window_mm:.2} mm or {grains:.0} grains wide, motions take {:.1e} terms; take a \
+             narrower beam, a smaller aperture, shorter steps or fewer realisations",
+            scene.path.display(),
+            MOST_TERMS * SECONDS_A_TERM / 3600.0,
+            all - terms[3],
+        )))
+    }
+
+    /// What its computation takes on so many threads, about.
+    pub fn seconds(&self, threads: usize) -> f64 {
+        self.terms.iter().sum::<f64>() * SECONDS_A_TERM / threads as f64
+    }
+}
+
+/// Scatterers in the area of a grain of the line's image.
+const SCATTERERS_A_GRAIN: f64 = 8.0;
+
+/// Most terms of a patch: some hours on one core, and an image that fits in a gigabyte.
+pub const MOST_TERMS: f64 = 1e12;
+
+/// Time of a term on one core, measured (`lasertrace wave SCENE` of `scenes/plane`).
+const SECONDS_A_TERM: f64 = 1e-8;
+
+/// Steps in which `wave_patch` tells its progress.
+pub const PATCH_STEPS: u64 = 1000;

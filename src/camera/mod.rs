@@ -6,6 +6,7 @@
 //! drawn in front of the lens, where its image is upright. Pixel (i, j) covers
 //! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
 
+mod chief_rays;
 mod counts;
 mod dark;
 mod distortion;
@@ -13,6 +14,7 @@ mod lens;
 mod model;
 mod sensor;
 
+pub use chief_rays::ChiefRays;
 pub use counts::Counts;
 pub use dark::DarkCounts;
 pub use distortion::Distortion;
@@ -21,6 +23,7 @@ pub use model::{CameraModel, Projector};
 pub use sensor::{Noise, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};
+use glam::DMat2;
 
 /// A lens with a sensor behind it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -87,17 +90,24 @@ impl Camera {
         self.lens.pupil_area() * cos_lens * cos_sensor / (distance * distance)
     }
 
-    /// Minimal speckle size h = λ·d_PI/D on the sensor at its centre, mm (Goodman
-    /// 1975), for a wavelength in mm.
+    /// Minimal speckle size h = λ·d_PI/D in the middle of an untilted sensor, mm (Goodman
+    /// 1975), for a wavelength in mm. Elsewhere: [`Camera::grains_per_pixel`].
     pub fn speckle_size(&self, wavelength: f64) -> f64 {
-        wavelength * self.lens.image_distance() / self.lens.pupil_diameter()
+        self.speckle_angle(wavelength) * self.lens.image_distance()
     }
 
-    /// Change of the minimal speckle size h along the sensor's columns and rows:
-    /// zero but for a tilted sensor, where d_PI changes.
-    pub fn speckle_size_gradient(&self, wavelength: f64) -> DVec2 {
-        let axes = self.sensor_axes();
-        DVec2::new(axes.x_axis.z, axes.y_axis.z) * wavelength / self.lens.pupil_diameter()
+    /// Grains by column and by row at a place (column, row) on the sensor, in the axes of
+    /// the pupil's plane, for a wavelength in mm: a lag of pixels times this is one in
+    /// units of the minimal speckle size. Law: see [`ChiefRays`].
+    pub fn grains_per_pixel(&self, pixel: DVec2, wavelength: f64) -> DMat2 {
+        let (_, slopes) = self.model().chief_rays().around(pixel);
+        slopes * self.speckle_angle(wavelength).recip()
+    }
+
+    /// Minimal speckle size λ/D in the direction cosines of [`ChiefRays`], for a
+    /// wavelength in mm.
+    pub fn speckle_angle(&self, wavelength: f64) -> f64 {
+        wavelength / self.lens.pupil_diameter()
     }
 
     /// Diameter of the blur on the sensor of a point that lies at `point`, seen

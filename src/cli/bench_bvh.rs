@@ -1,5 +1,6 @@
 use super::Output;
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::scene::Unit;
 use std::path::PathBuf;
 
@@ -42,7 +43,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let bench = batch::bench_bvh(&arguments.mesh, &mesh, effort, &arguments.output, &control);
     bar.finish_and_clear();
     let bench = bench?;
-    let (picture, json) = (bench.picture.display(), bench.json.display());
+    let (picture, json) = (path(&bench.picture), path(&bench.json));
     let text = format!("{}\n{picture}\n{json}", table(&bench.race));
     output.result(&bench, &text)
 }
@@ -57,10 +58,10 @@ pub fn run(arguments: Arguments, _: &Output) -> Result<()> {
         "bench-bvh races against crates that lasertrace itself does without, and this \
          program was built without them; in lasertrace's folder, run:\n\
          cargo run --release --features race -- bench-bvh {} --unit {} --rays {} --rounds {} -o {}",
-        arguments.mesh.display(),
+        path(&arguments.mesh),
         unit.expect("no unit is hidden").get_name(),
         arguments.rays,
         arguments.rounds,
-        arguments.output.display()
+        path(&arguments.output)
     )))
 }

@@ -1,6 +1,7 @@
 use super::{Output, STOP, SceneArguments};
 use crate::batch::{self, CalibrationSummary, Control};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::inspect::chart::short;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -58,7 +59,7 @@ fn text(summary: &CalibrationSummary) -> String {
         (2.0 * summary.parameters.len() as f64).sqrt(),
         short(summary.point_error_um),
         short(summary.point_uncertainty_um),
-        summary.calibration.display(),
-        summary.picture.display()
+        path(&summary.calibration),
+        path(&summary.picture)
     )
 }

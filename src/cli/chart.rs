@@ -1,6 +1,7 @@
 use super::{Output, STOP, SceneArguments, show};
 use crate::batch::{self, Chart, ChartEffort, Control};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::inspect::chart::short;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -68,6 +69,6 @@ fn text(chart: &Chart) -> String {
             row.name
         );
     }
-    let (picture, json) = (chart.picture.display(), chart.json.display());
+    let (picture, json) = (path(&chart.picture), path(&chart.json));
     text + &format!("(* chosen, + on the front)\n{picture}\n{json}\n")
 }

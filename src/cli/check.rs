@@ -1,5 +1,5 @@
 use super::{Output, STOP, SceneArguments, show, warning_lines};
-use crate::batch::{self, Checked, Control};
+use crate::batch::{self, Checked, Control, Forecast};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::inspect::chart::short;
@@ -8,8 +8,10 @@ use crate::integrator::plan::Effect;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
 use crate::scene::{Motion, Moves, Scene};
+use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
 use std::fmt::Write;
+use std::time::Duration;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -41,9 +43,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         checked: batch::check(&scene, &control)?,
         scene: &scene,
     };
-    if arguments.strict {
-        batch::refuse(&check.checked.warnings)?;
-    }
+    batch::refuse(&check.checked.warnings, arguments.strict)?;
     output.result(&check, &text(&check))
 }
 
@@ -62,6 +62,11 @@ fn text(check: &Check) -> String {
     let _ = write!(text, "\nPart\n{}", part(scene, mesh));
     let _ = write!(text, "\nSensor\n{}", sensor(scene, checked));
     let _ = write!(text, "\nScan\n{}", path(scene));
+    let _ = write!(
+        text,
+        "\nThe whole scan, about\n{}",
+        whole_scan(&checked.forecast)
+    );
     text.push_str("\nWhat is simulated\n");
     for effect in &checked.plan.effects {
         text += &effect_lines(effect);
@@ -218,4 +223,20 @@ fn scheimpflug(plan: &Plan) -> String {
         "\nTo have the whole laser plane in focus: camera.tilt_deg = [{x:.4}, {y:.4}] and \
          camera.focus_distance_mm = {distance:.3}\n"
     )
+}
+
+/// What the whole scan takes.
+fn whole_scan(forecast: &Forecast) -> String {
+    let bytes = |bytes: u64| DecimalBytes(bytes).to_string();
+    let free = match forecast.memory_available_bytes {
+        Some(available) if forecast.fits() => format!(" ({} are free)", bytes(available)),
+        Some(available) => format!(": MORE THAN THE {} THAT ARE FREE", bytes(available)),
+        None => String::new(),
+    };
+    let time =
+        HumanDuration(Duration::try_from_secs_f64(forecast.seconds).unwrap_or(Duration::MAX));
+    let time = format!("{time} with threads: {}", forecast.threads);
+    line("memory", &format!("{}{free}", bytes(forecast.memory_bytes)))
+        + &line("disk", &bytes(forecast.disk_bytes))
+        + &line("time", &time)
 }

@@ -1,6 +1,6 @@
 //! How the program says that it cannot do what was asked.
 
-use crate::error::{Error, Place};
+use crate::error::{Error, Place, printable};
 use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
@@ -28,44 +28,54 @@ struct InFile<'a> {
     hint: Option<&'a str>,
 }
 
-/// An error: one line on stderr for people, and with `json` one object on stdout for
-/// programs. A stream that is closed must not hide the exit code.
-/// `resumable`: the command can go on where it was interrupted.
-pub fn complain(error: &Error, json: bool, resumable: bool) {
-    let next = match error {
-        Error::Interrupted if resumable => {
-            "; run the same command with --resume to go on after the last finished frame: without \
+/// How a command's errors are said.
+#[derive(Clone, Copy)]
+pub struct Complaints {
+    /// For programs too.
+    pub json: bool,
+    /// The command can go on where it was interrupted.
+    pub resumable: bool,
+}
+
+impl Complaints {
+    /// An error: one line on stderr for people, and with `json` one object on stdout for
+    /// programs. A stream that is closed must not hide the exit code.
+    pub fn say(self, error: &Error) {
+        let next = match error {
+            Error::Interrupted if self.resumable => {
+                "; run the same command with --resume to go on after the last finished frame: without \
              --resume it starts anew and replaces them all"
-        }
-        Error::Interrupted => "; run the same command again: it starts anew",
-        _ => "",
-    };
-    let message = format!("{error}{next}");
-    let _ = writeln!(std::io::stderr(), "lasertrace: {message}");
-    if json {
-        let place = match error {
-            Error::Input(wrong) => Some(InFile {
-                file: &wrong.file,
-                line: match wrong.place {
-                    Place::Line(line) => Some(line),
-                    _ => None,
-                },
-                byte: match wrong.place {
-                    Place::Byte(byte) => Some(byte),
-                    _ => None,
-                },
-                key: wrong.key.as_deref(),
-                found: Some(wrong.found.as_str()).filter(|found| !found.is_empty()),
-                expected: &wrong.expected,
-                hint: wrong.hint.as_deref(),
-            }),
-            _ => None,
+            }
+            Error::Interrupted => "; run the same command again: it starts anew",
+            _ => "",
         };
-        print(&Complaint {
-            message: &message,
-            exit_code: error.exit_code(),
-            place,
-        });
+        let message = format!("{error}{next}");
+        super::say(&message);
+        if self.json {
+            let place = match error {
+                Error::Input(wrong) => Some(InFile {
+                    file: &wrong.file,
+                    line: match wrong.place {
+                        Place::Line(line) => Some(line),
+                        _ => None,
+                    },
+                    byte: match wrong.place {
+                        Place::Byte(byte) => Some(byte),
+                        _ => None,
+                    },
+                    key: wrong.key.as_deref(),
+                    found: Some(wrong.found.as_str()).filter(|found| !found.is_empty()),
+                    expected: &wrong.expected,
+                    hint: wrong.hint.as_deref(),
+                }),
+                _ => None,
+            };
+            print(&Complaint {
+                message: &message,
+                exit_code: error.exit_code(),
+                place,
+            });
+        }
     }
 }
 
@@ -86,5 +96,9 @@ pub fn complain_of_usage(error: &clap::Error) {
 
 fn print(complaint: &Complaint) {
     let object = serde_json::json!({ "error": complaint });
-    let _ = writeln!(std::io::stdout(), "{object}");
+    let _ = writeln!(
+        std::io::stdout(),
+        "{}",
+        printable::json(&object.to_string())
+    );
 }

@@ -5,27 +5,32 @@ mod calibrate;
 mod chart;
 mod check;
 mod complaint;
+mod manual;
 mod peaks;
 mod render;
 mod scan;
+mod signals;
 mod speckle;
+mod threads;
 mod uncertainty;
 mod wave;
 
 use crate::accel::Backend;
 use crate::batch::Coverage;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
 #[derive(Parser)]
 #[command(
-    version,
+    version = version(),
     about,
     after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
     70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again,\n\
@@ -34,7 +39,7 @@ static STOP: AtomicBool = AtomicBool::new(false);
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Threads to use [default: all cores]
+    /// Threads to use, at most as many as the machine grants [default: all of them]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// No progress bar
@@ -69,6 +74,19 @@ enum Command {
     BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,
+    /// Print what a shell needs to complete commands and options
+    Completions(manual::Completions),
+    /// Print the manual page of the program or of a command
+    Man(manual::Man),
+}
+
+/// Of the program, and of what finds the triangles that rays meet.
+fn version() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        let program = env!("CARGO_PKG_VERSION");
+        format!("{program} ({})", Backend::default().version())
+    });
+    &VERSION
 }
 
 /// A scene file and what may be changed about it on the command line.
@@ -153,8 +171,8 @@ impl Output {
     /// The result on stdout: `value` as JSON, or `text`.
     fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
         let text = match self.json {
-            true => serde_json::to_string(value).expect("results are JSON"),
-            false => text.trim_end().to_owned(),
+            true => printable::json(&serde_json::to_string(value).expect("results are JSON")),
+            false => printable::lines(text.trim_end()),
         };
         match writeln!(std::io::stdout(), "{text}") {
             // Who closes the pipe has read enough; what the files hold is whole.
@@ -183,7 +201,10 @@ pub fn run() -> u8 {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
-            complaint::complain_of_usage(&error);
+            // The same mistake of arguments that may be shown.
+            let shown = std::env::args_os().map(|text| printable::short(&text.to_string_lossy()));
+            let shown = Cli::try_parse_from(shown).err().unwrap_or(error);
+            complaint::complain_of_usage(&shown);
             return 64;
         }
         Err(help) => {
@@ -192,34 +213,40 @@ pub fn run() -> u8 {
             return 0;
         }
     };
-    let json = cli.json;
-    let resumable = matches!(cli.command, Command::Scan(_));
-    match execute(cli) {
-        Ok(()) => 0,
-        Err(error) => {
-            complaint::complain(&error, json, resumable);
+    let complaints = complaint::Complaints {
+        json: cli.json,
+        resumable: matches!(cli.command, Command::Scan(_)),
+    };
+    // The panic's own message is on stderr already.
+    match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
+        Ok(Ok(())) => 0,
+        Ok(Err(error)) => {
+            complaints.say(&error);
             error.exit_code()
+        }
+        Err(_) => {
+            say("this is a fault of the program; please report it with the lines above");
+            70
         }
     }
 }
 
-fn execute(cli: Cli) -> Result<()> {
-    ctrlc::set_handler(|| {
-        // The second time, at once.
-        if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(75);
-        }
-    })
-    .expect("no other handler is set");
+/// A line on stderr.
+fn say(text: &str) {
+    // A closed stderr must not hide the exit code.
+    let _ = writeln!(std::io::stderr(), "lasertrace: {}", printable::line(text));
+}
+
+fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
+    signals::listen(complaints)?;
     let output = Output {
         quiet: cli.quiet,
         json: cli.json,
     };
-    let threads = cli.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Error::Usage(format!("cannot start {threads} threads: {error}")))?;
+    let (pool, cut) = threads::pool(cli.threads)?;
+    if let Some(cut) = cut.filter(|_| !cli.quiet) {
+        say(&cut);
+    }
     pool.install(|| match cli.command {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
@@ -231,6 +258,8 @@ fn execute(cli: Cli) -> Result<()> {
         Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
+        Command::Completions(arguments) => manual::completions(arguments, &output),
+        Command::Man(arguments) => manual::man(arguments, &output),
         Command::Schema => {
             let schema = crate::scene::schema();
             let value: serde_json::Value =

@@ -1,6 +1,7 @@
 use super::{Output, STOP};
 use crate::batch::{self, Control, ImageSummary, LineAlong, PeakChart};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::inspect::chart::short;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -67,7 +68,7 @@ fn chart_text(chart: &PeakChart) -> String {
             text.push('\n');
         }
     }
-    text + &format!("\n{}\n", chart.picture.display())
+    text + &format!("\n{}\n", path(&chart.picture))
 }
 
 fn image_text(summary: &ImageSummary) -> String {
@@ -83,6 +84,6 @@ fn image_text(summary: &ImageSummary) -> String {
             short(line.median_sigma_px)
         );
     }
-    let (table, picture) = (summary.table.display(), summary.picture.display());
+    let (table, picture) = (path(&summary.table), path(&summary.picture));
     text + &format!("\n{table}\n{picture}\n")
 }

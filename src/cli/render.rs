@@ -1,6 +1,7 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show};
 use crate::batch::{self, Control};
 use crate::error::Result;
+use crate::error::printable::path;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -37,8 +38,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         summary.frame,
         summary.max_count,
         summary.mean_count,
-        summary.png.display(),
-        summary.exr.display()
+        path(&summary.png),
+        path(&summary.exr)
     );
     output.result(&summary, &text)
 }

@@ -1,6 +1,7 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show, warning_lines};
 use crate::batch::{self, Control, ScanOptions};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::inspect::chart::short;
 use crate::inspect::formats::Format;
 use std::ops::Range;
@@ -94,14 +95,14 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let warnings = warning_lines(&summary.warnings);
     let mut text = format!(
         "{warnings}{deviation}\nopen the report:  {}\npoint cloud:      {}",
-        summary.report.display(),
-        summary.cloud.display()
+        path(&summary.report),
+        path(&summary.cloud)
     );
     if let Some(accuracy) = &summary.accuracy {
         text += &format!("\naccuracy:         {}", accuracy.statement);
     }
     for picture in &summary.pictures {
-        text += &format!("\npicture:          {}", picture.display());
+        text += &format!("\npicture:          {}", path(picture));
     }
     output.result(&summary, &text)
 }

@@ -1,6 +1,7 @@
 use super::{Output, STOP};
 use crate::batch::{self, Control, SpeckleSummary};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::speckle::pattern::{Aperture, PatternSpec};
 use crate::speckle::statistics::Check;
 use std::path::PathBuf;
@@ -121,6 +122,6 @@ fn text(summary: &SpeckleSummary) -> String {
         let name = format!("grain of 300 mm at f/{} (FWHM), µm", grain.f_number);
         text += &row(&name, grain.fwhm_um, grain.fwhm_theory_um, None);
     }
-    let (pattern, picture) = (summary.pattern.display(), summary.picture.display());
+    let (pattern, picture) = (path(&summary.pattern), path(&summary.picture));
     text + &format!("\n{pattern}\n{picture}\n")
 }

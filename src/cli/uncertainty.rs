@@ -1,6 +1,7 @@
 use super::{Output, STOP, SceneArguments};
 use crate::batch::{self, Control};
 use crate::error::Result;
+use crate::error::printable::path;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -36,6 +37,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     bar.finish_and_clear();
     let summary = summary?;
     let [first, second] = summary.headline();
-    let text = format!("{first}\n{second}\n{}\n", summary.picture.display());
+    let text = format!("{first}\n{second}\n{}\n", path(&summary.picture));
     output.result(&summary, &text)
 }

@@ -1,11 +1,17 @@
-use super::{AccelArguments, Output, STOP};
-use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
+use super::{AccelArguments, Output, STOP, say};
+use crate::batch::{self, ComparedMotion, Control, WaveEffort, WavePatch, WaveSummary};
 use crate::error::Result;
+use crate::error::printable::path;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
 use crate::speckle::wave_spot::SpotRow;
+use indicatif::HumanDuration;
 use std::fmt::Write;
 use std::path::PathBuf;
+use std::time::Duration;
+
+/// Work that takes longer says beforehand how long.
+const WORTH_SAYING_S: f64 = 5.0;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -37,21 +43,33 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     if let Some(scene) = &mut scene {
         scene.accel = arguments.accel.accel.unwrap_or(scene.accel);
     }
-    let rows = scene.as_ref().map_or(batch::reference_motions(), |_| 3);
-    let bar = output.progress(rows as u64, "motions");
-    let control = Control {
-        progress: &|done| bar.set_position(done),
+    let control = |progress| Control {
+        progress,
         building: None,
         stop: &STOP,
     };
     let summary = match &scene {
         Some(scene) => {
-            batch::wave_patch(scene, arguments.frame, effort, &arguments.output, &control)
+            let patch = WavePatch::new(scene, arguments.frame, effort, &control(&|_| {}))?;
+            let seconds = patch.seconds(rayon::current_num_threads());
+            if seconds > WORTH_SAYING_S && !output.quiet {
+                let seconds = Duration::from_secs(seconds as u64);
+                say(&format!("takes about {}", HumanDuration(seconds)));
+            }
+            let bar = output.progress(batch::PATCH_STEPS, "of a thousand parts");
+            let progress = |done| bar.set_position(done);
+            let summary = batch::wave_patch(&patch, &arguments.output, &control(&progress));
+            bar.finish_and_clear();
+            summary
         }
-        None => batch::wave_reference(effort, &arguments.output, &control),
-    };
-    bar.finish_and_clear();
-    let summary = summary?;
+        None => {
+            let bar = output.progress(batch::reference_motions() as u64, "motions");
+            let progress = |done| bar.set_position(done);
+            let summary = batch::wave_reference(effort, &arguments.output, &control(&progress));
+            bar.finish_and_clear();
+            summary
+        }
+    }?;
     output.result(&summary, &text(&summary))
 }
 
@@ -109,7 +127,7 @@ fn text(summary: &WaveSummary) -> String {
     }
     text += &spots(&summary.spots);
     for picture in &summary.pictures {
-        let _ = writeln!(text, "{}", picture.display());
+        let _ = writeln!(text, "{}", path(picture));
     }
     text
 }

@@ -2,6 +2,7 @@
   const root = document.getElementById("viewer");
   const data = JSON.parse(document.getElementById("viewer-data").textContent);
   const canvas = root.querySelector("canvas"), select = root.querySelector("select");
+  const height = root.querySelector("input");
   const gl = canvas.getContext("webgl", { preserveDrawingBuffer: true });
   if (!gl) {
     root.innerHTML = "<p>This browser shows no 3D (WebGL is off); the pictures below are the same.</p>";
@@ -35,7 +36,10 @@
   });
   const modes = data.modes.map((mode) => ({ ...mode, buffer: buffer(bytes(mode.colors)) }));
   modes.forEach((mode, i) => select.add(new Option(mode.name, i)));
-  let [yaw, pitch, zoom, panX, panY] = [data.yaw, data.pitch, 1.5, 0, 0];
+  // A unit is half the height: where the canvas is narrower than high, the part must fit its width.
+  const fit = Math.min(1, canvas.clientWidth / canvas.clientHeight);
+  let [yaw, pitch, zoom, panX, panY] = [data.yaw, data.pitch, 1.5 * fit, 0, 0];
+  height.value = pitch;
   const draw = () => {
     const ratio = window.devicePixelRatio || 1;
     canvas.width = canvas.clientWidth * ratio;
@@ -63,23 +67,69 @@
     gl.vertexAttribPointer(c, 3, gl.UNSIGNED_BYTE, true, 3, 0);
     gl.drawArrays(gl.POINTS, 0, at.count);
     root.querySelector("p").textContent = mode.caption;
+    // For tests and for those who want the same view again.
+    root.dataset.view = JSON.stringify([yaw, pitch, zoom, panX, panY]);
+  };
+  const turn = (dx, dy) => {
+    yaw += dx;
+    pitch = Math.min(1.6, Math.max(-1.6, pitch + dy));
+    height.value = pitch;
+  };
+  const move = (dx, dy) => {
+    panX += (2 * dx) / canvas.clientHeight;
+    panY -= (2 * dy) / canvas.clientHeight;
+  };
+  // Zooms so that what is at (x, y) of the canvas, px, stays there.
+  const zoomAt = (factor, x, y) => {
+    const atX = (2 * x - canvas.clientWidth) / canvas.clientHeight, atY = 1 - (2 * y) / canvas.clientHeight;
+    zoom *= factor;
+    panX = atX + (panX - atX) * factor;
+    panY = atY + (panY - atY) * factor;
+  };
+  // Where each finger, or the mouse while pressed, is. One finger up and down scrolls the
+  // page (touch-action in report.css): the browser then takes it back by pointercancel.
+  const pressed = new Map();
+  const between = () => {
+    const [a, b] = [...pressed.values()];
+    return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, apart: Math.hypot(a.x - b.x, a.y - b.y) };
+  };
+  canvas.onpointerdown = (e) => {
+    canvas.setPointerCapture(e.pointerId);
+    pressed.set(e.pointerId, { x: e.offsetX, y: e.offsetY });
   };
   canvas.onpointermove = (e) => {
-    if (!e.buttons) return;
-    if (e.buttons > 1 || e.shiftKey) {
-      panX += (2 * e.movementX) / canvas.clientHeight;
-      panY -= (2 * e.movementY) / canvas.clientHeight;
-    } else {
-      yaw += e.movementX * 0.008;
-      pitch = Math.min(1.6, Math.max(-1.6, pitch + e.movementY * 0.008));
+    const last = pressed.get(e.pointerId);
+    if (!last) return;
+    const before = pressed.size === 2 && between();
+    const [dx, dy] = [e.offsetX - last.x, e.offsetY - last.y];
+    pressed.set(e.pointerId, { x: e.offsetX, y: e.offsetY });
+    if (before) {
+      const now = between();
+      move(now.x - before.x, now.y - before.y);
+      if (before.apart > 0 && now.apart > 0) zoomAt(now.apart / before.apart, now.x, now.y);
+    } else if (pressed.size === 1) {
+      if (e.buttons > 1 || e.shiftKey) move(dx, dy);
+      else turn(dx * 0.008, e.pointerType === "touch" ? 0 : dy * 0.008);
     }
     draw();
   };
-  canvas.onpointerdown = (e) => canvas.setPointerCapture(e.pointerId);
+  canvas.onpointerup = canvas.onpointercancel = (e) => pressed.delete(e.pointerId);
+  canvas.onkeydown = (e) => {
+    const by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
+    if (by) turn(...by);
+    else if (e.key === "+" || e.key === "-") zoom *= e.key === "+" ? 1.2 : 1 / 1.2;
+    else return;
+    e.preventDefault();
+    draw();
+  };
+  height.oninput = () => {
+    pitch = Number(height.value);
+    draw();
+  };
   canvas.oncontextmenu = (e) => e.preventDefault();
   canvas.onwheel = (e) => {
     e.preventDefault();
-    zoom *= Math.exp(-e.deltaY * 0.001);
+    zoomAt(Math.exp(-e.deltaY * 0.001), e.offsetX, e.offsetY);
     draw();
   };
   select.onchange = draw;

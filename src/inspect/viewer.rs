@@ -57,8 +57,11 @@ impl Viewer {
         let data = data.to_string().replace('<', "\\u003c");
         let _ = write!(
             html,
-            "<div id=\"viewer\"><label>Colours: <select></select></label> drag to turn, wheel to \
-             zoom, Shift and drag to move<canvas></canvas><p></p></div>\
+            "<div id=\"viewer\"><label>Colours: <select></select></label>\
+             <label>Seen from: below <input type=\"range\" min=\"-1.6\" max=\"1.6\" step=\"any\"> above</label>\
+             <canvas tabindex=\"0\" aria-label=\"the points in 3D\"></canvas><p></p>\
+             <p>Mouse: drag to turn, wheel to zoom, Shift and drag to move. Touch: one finger sideways \
+             turns, two fingers zoom and move. Keys: arrows turn, + and - zoom.</p></div>\
              <script type=\"application/json\" id=\"viewer-data\">{data}</script>\
              <script>{}</script>",
             include_str!("viewer.js")

@@ -34,9 +34,6 @@ const COST: Cost = Cost {
     geometric: 700.0,
 };
 
-/// Times as many pixels as see the line are in its footprint: the demo's.
-const FOOTPRINT: f64 = 2.3;
-
 fn speckle_ns(plan: &Plan, samples: f64) -> f64 {
     match plan.speckle {
         Some(_) => COST.speckle_field + COST.speckle_sample * samples,
@@ -51,10 +48,12 @@ fn noise_ns(plan: &Plan, pixels: f64) -> f64 {
 impl Pilot {
     /// Pixels of a frame that are looked at.
     fn looked_at(&self, plan: &Plan) -> f64 {
-        let widths = self.points.iter().map(|p| 2.0 * p.sigma).sum::<f64>();
-        FOOTPRINT
-            * self.lines
-            * (2.0 * plan.cutoff_radii * widths / self.points.len().max(1) as f64 + 2.0)
+        let of = |(radii, _): &&(f64, f64)| *radii >= plan.cutoff_radii;
+        let widest = self.looked_at.last().map_or(0.0, |(_, pixels)| *pixels);
+        self.looked_at
+            .iter()
+            .find(of)
+            .map_or(widest, |(_, pixels)| *pixels)
     }
 
     /// Predicted time of one frame on one core, ms, from the counts of what it does

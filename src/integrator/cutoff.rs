@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::laser::{CUTOFF_RADII, Laser};
-use crate::math::{Aabb, DVec2};
+use crate::math::{DVec2, DVec3};
 use std::f64::consts::PI;
 
 /// What light beyond the cutoff may add to any pixel, electrons or counts,
@@ -12,12 +12,15 @@ const UNSEEN: f64 = 1e-3;
 const BRIGHTEST_SPECKLE: f64 = 20.0;
 
 /// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from
-/// an upper bound of the brightest pixel: white paint across the beam where the part
-/// is nearest to the laser, the waist lying there, in speckle of
+/// an upper bound of the brightest pixel: white paint across the beam at the nearest of
+/// the `places` (laser frame) that the sensor sees, the waist lying there, in speckle of
 /// [`BRIGHTEST_SPECKLE`].
-pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, part_in_laser: &[Aabb]) -> f64 {
+pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> f64 {
+    if places.is_empty() {
+        return CUTOFF_RADII;
+    }
     let beam = &laser.beam;
-    let nearest = part_in_laser.iter().map(|part| part.min.z.max(0.0));
+    let nearest = places.iter().map(|p| p.x.hypot(p.z));
     let nearest = nearest.fold(f64::INFINITY, f64::min);
     let irradiance = beam.power_mw * 2.0 / PI / beam.waist_radius
         * match laser.fan {
@@ -34,6 +37,6 @@ pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, part_in_laser: &[Aabb
         irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
     let unseen = UNSEEN / camera.sensor.gain_dn_per_e.max(1.0);
     let exponent = (electrons * BRIGHTEST_SPECKLE / unseen).ln();
-    // Infinite if the laser is within the part's box.
+    // Infinite for light that is seen at the aperture.
     (exponent / 2.0).max(1.0).sqrt().min(CUTOFF_RADII)
 }

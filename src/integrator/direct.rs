@@ -5,8 +5,9 @@
 
 use super::footprint::footprint;
 use super::irradiance::Irradiance;
-use super::lit::{Center, Light, LitRays, Rays};
+use super::lit::{Center, Light, LitRays, Plane, Rays};
 use super::pixels::{Pixels, SIDE, middle};
+use super::reference::Seen;
 use super::samples::Grid;
 use super::sight::Sight;
 use super::speckle::{Reader, Speckle};
@@ -17,6 +18,7 @@ use crate::laser::Laser;
 use crate::math::{DVec2, Rigid};
 use crate::surface::Lambert;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Everything one frame depends on, in the part's frame.
 pub struct View<'a> {
@@ -67,19 +69,34 @@ pub fn footprint_image(view: &View, clusters: &Clusters) -> Irradiance {
     trace(view, &sight, footprint(view, &sight, clusters))
 }
 
+/// [`footprint_image`] of these columns alone: the same values there.
+pub fn strip_image(view: &View, clusters: &Clusters, columns: &Range<usize>) -> Irradiance {
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    let mut pixels = footprint(view, &sight, clusters);
+    pixels.keep_columns(columns);
+    trace(view, &sight, pixels)
+}
+
+/// From the first column that may see lit surface to the last.
+pub fn lit_columns(view: &View, clusters: &Clusters) -> Option<Range<usize>> {
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    footprint(view, &sight, clusters).span()
+}
+
 /// Bands of a task: enough that two more at its ends cost little, and few enough
 /// that there are some to share out.
 const BANDS_PER_TASK: usize = 32;
 
 /// The light that these pixels see.
 fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
+    let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
     let frame = Frame {
         lit: LitRays::new(view, sight),
         pixels: &pixels,
         grid: Grid::new(view.samples_per_side as usize),
         speckle: view
             .speckle
-            .map(|speckle| Reader::new(&speckle, view.camera)),
+            .map(|speckle| Reader::new(&speckle, view.camera, camera_from_laser)),
     };
     let tasks = (0..pixels.bands()).into_par_iter().step_by(BANDS_PER_TASK);
     let values: Vec<Vec<f32>> = tasks
@@ -238,7 +255,7 @@ impl Frame<'_> {
                 *sum += self.with_speckle(
                     centre,
                     lit.filter_map(|((off, weight), center)| match center {
-                        Center::Lit(light, _) => Some((*off, *weight, light)),
+                        Center::Lit(light, plane) => Some((*off, *weight, light, plane)),
                         _ => None,
                     }),
                 );
@@ -252,27 +269,27 @@ impl Frame<'_> {
     fn with_speckle<'l>(
         &self,
         centre: DVec2,
-        mut lit: impl Iterator<Item = (DVec2, f64, &'l Light)>,
+        mut lit: impl Iterator<Item = (DVec2, f64, &'l Light, &'l Plane)>,
     ) -> f64 {
         let value = |weight: f64, light: &Light| weight * light.irradiance * light.share();
         let Some(reader) = &self.speckle else {
-            return lit.map(|(_, weight, light)| value(weight, light)).sum();
+            return lit.map(|(_, weight, light, _)| value(weight, light)).sum();
         };
         let reader = reader.pixel(centre);
         let mut sum = 0.0;
         loop {
             let (mut columns, mut rows) = ([0.0; 4], [0.0; 4]);
-            let (mut depths, mut values) = ([0.0; 4], [0.0; 4]);
+            let (mut seen, mut values) = ([Seen::default(); 4], [0.0; 4]);
             let mut count = 0;
-            for (off, weight, light) in lit.by_ref().take(4) {
+            for (off, weight, light, plane) in lit.by_ref().take(4) {
                 (columns[count], rows[count]) = (off.x as f32, off.y as f32);
-                (depths[count], values[count]) = (light.depth, value(weight, light));
+                (seen[count], values[count]) = (Seen::new(light, plane), value(weight, light));
                 count += 1;
             }
             if count == 0 {
                 return sum;
             }
-            let speckle = reader.four(columns.into(), rows.into(), depths, count);
+            let speckle = reader.four(columns.into(), rows.into(), seen, count);
             let read = speckle.to_array().map(f64::from);
             let shares = values.iter().zip(read).take(count);
             sum += shares.map(|(value, speckle)| value * speckle).sum::<f64>();

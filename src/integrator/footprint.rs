@@ -25,10 +25,7 @@ pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixe
     let mut pixels = Pixels::none(resolution);
     let projection = Projection::new(sight, resolution.as_dvec2());
     let bend = Bend::new(view.camera, sight, view.part_from_camera.rotation);
-    let frustum = match &bend {
-        None => frustum(sight.eye, &projection, resolution.as_dvec2()),
-        Some(bend) => bend.frustum(),
-    };
+    let frustum = frustum(sight.eye, &projection, resolution.as_dvec2(), bend.as_ref());
     let detail = detail(view, &projection);
     let mut marker = Marker {
         pixels: &mut pixels,
@@ -77,8 +74,17 @@ fn detail(view: &View, projection: &Projection) -> f64 {
     2.0 / projection.spread(1.0, scale.abs()).max_element()
 }
 
-/// What the sensor sees: a pyramid from the eye.
-fn frustum(eye: DVec3, projection: &Projection, resolution: DVec2) -> [HalfSpace; 4] {
+/// What the sensor sees: a pyramid from the eye; for a lens that distorts one that holds
+/// it.
+pub(super) fn frustum(
+    eye: DVec3,
+    projection: &Projection,
+    resolution: DVec2,
+    bend: Option<&Bend>,
+) -> [HalfSpace; 4] {
+    if let Some(bend) = bend {
+        return bend.frustum();
+    }
     let Projection {
         column, row, scale, ..
     } = projection;
@@ -140,7 +146,7 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
 }
 
 /// What bounds the beam along x.
-fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
+pub(super) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
     let aperture = part_from_laser.translation;
     let (x, z) = (
         part_from_laser.rotation.x_axis,

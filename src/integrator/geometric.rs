@@ -28,30 +28,63 @@ pub struct Sheet {
 /// the camera looks along it, the angles of a column have no lower bound.
 const MOST_RAYS_PER_COLUMN: f64 = 8.0;
 
+/// Where in a fan the pixels of a camera look.
+pub(super) struct SheetAngles<'a> {
+    camera: &'a Camera,
+    laser_from_camera: Rigid,
+    /// At which the fan ends, to either side.
+    half: f64,
+}
+
+impl<'a> SheetAngles<'a> {
+    pub fn new(fan: &Fan, camera: &'a Camera, camera_from_laser: &Rigid) -> SheetAngles<'a> {
+        SheetAngles {
+            camera,
+            laser_from_camera: camera_from_laser.inverse(),
+            half: match fan.profile {
+                FanProfile::Uniform => fan.angle / 2.0,
+                FanProfile::Gaussian => (CUTOFF_RADII * fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
+            },
+        }
+    }
+
+    /// Angle at which a pixel's ray meets the sheet; its end if nowhere.
+    fn at(&self, pixel: DVec2) -> f64 {
+        let eye = self.laser_from_camera.translation;
+        let direction = self.laser_from_camera.vector(self.camera.direction(pixel));
+        let t = -eye.y / direction.y;
+        let p = eye + direction * t;
+        match t > 0.0 && p.is_finite() && p.z > 0.0 {
+            true => p.x.atan2(p.z).clamp(-self.half, self.half),
+            false => self.half.copysign(direction.x),
+        }
+    }
+
+    /// The least and the greatest over the sensor, which are on its border.
+    pub fn seen(&self) -> [f64; 2] {
+        let size = self.camera.sensor.resolution.as_dvec2();
+        let corners = [DVec2::ZERO, size.with_y(0.0), size, size.with_x(0.0)];
+        let border = (0..4).flat_map(|side| {
+            let (from, to) = (corners[side], corners[(side + 1) % 4]);
+            (0..16).map(move |i| from.lerp(to, i as f64 / 16.0))
+        });
+        border.fold([self.half, -self.half], |[low, high], pixel| {
+            let angle = self.at(pixel);
+            [low.min(angle), high.max(angle)]
+        })
+    }
+}
+
 impl Sheet {
     /// The part of the fan that the sensor can see.
     pub fn new(fan: &Fan, camera: &Camera, camera_from_laser: &Rigid) -> Sheet {
-        let half = match fan.profile {
-            FanProfile::Uniform => fan.angle / 2.0,
-            FanProfile::Gaussian => (CUTOFF_RADII * fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
-        };
-        let laser_from_camera = camera_from_laser.inverse();
-        let eye = laser_from_camera.translation;
-        // Angle at which a pixel's ray meets the sheet; its end if nowhere.
-        let angle = |pixel: DVec2| {
-            let direction = laser_from_camera.vector(camera.direction(pixel));
-            let t = -eye.y / direction.y;
-            let p = eye + direction * t;
-            match t > 0.0 && p.is_finite() && p.z > 0.0 {
-                true => p.x.atan2(p.z).clamp(-half, half),
-                false => half.copysign(direction.x),
-            }
-        };
+        let angles = SheetAngles::new(fan, camera, camera_from_laser);
+        let half = angles.half;
         let resolution = camera.sensor.resolution;
         let (columns, rows) = (resolution.x as f64, resolution.y as f64);
         let (mut low, mut high, mut narrowest) = (half, -half, 2.0 * half);
         for row in (0..=16).map(|i| rows * i as f64 / 16.0) {
-            let ends = [0.0, columns].map(|column| angle(DVec2::new(column, row)));
+            let ends = [0.0, columns].map(|column| angles.at(DVec2::new(column, row)));
             let (a, b) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
             (low, high) = (low.min(a), high.max(b));
             if b > a {

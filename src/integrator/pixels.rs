@@ -3,6 +3,7 @@
 
 use crate::accel::WIDTH;
 use glam::{DVec2, UVec2};
+use std::ops::Range;
 
 /// Pixels along each side of a tile.
 pub(super) const SIDE: usize = 4;
@@ -57,6 +58,31 @@ impl Pixels {
             let to = (last - 64 * word).min(63);
             *bits |= (u64::MAX << from) & (u64::MAX >> (63 - to));
         }
+    }
+
+    /// Takes out all but these columns.
+    pub fn keep_columns(&mut self, columns: &Range<usize>) {
+        let below = |column: usize, word: usize| match column.saturating_sub(64 * word) {
+            count if count < 64 => (1 << count) - 1,
+            _ => u64::MAX,
+        };
+        for words in self.words.chunks_exact_mut(self.words_per_row) {
+            for (i, word) in words.iter_mut().enumerate() {
+                *word &= below(columns.end, i) & !below(columns.start, i);
+            }
+        }
+    }
+
+    /// From the first column with a pixel of the set to the last.
+    pub fn span(&self) -> Option<Range<usize>> {
+        let ends = (0..self.rows).filter_map(|row| {
+            let words = self.row(row);
+            let first = words.iter().position(|&bits| bits != 0)?;
+            let last = words.iter().rposition(|&bits| bits != 0)?;
+            let start = 64 * first + words[first].trailing_zeros() as usize;
+            Some(start..64 * (last + 1) - words[last].leading_zeros() as usize)
+        });
+        ends.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
     }
 
     fn row(&self, row: usize) -> &[u64] {
@@ -152,6 +178,22 @@ fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn columns_that_are_kept_are_those_of_the_range() {
+        for (low, high) in [(0, 1), (60, 70), (64, 128), (5, 2100), (2063, 2064), (7, 7)] {
+            let mut pixels = Pixels::all(UVec2::new(2100, 3));
+            pixels.keep_columns(&(low..high));
+            let found: Vec<usize> = pixels.of(1).collect();
+            assert_eq!(found, (low..high).collect::<Vec<_>>());
+            let span = (low < high).then_some(low..high);
+            assert_eq!(pixels.span(), span);
+        }
+        let mut pixels = Pixels::none(UVec2::new(300, 4));
+        pixels.insert(1, 70, 80);
+        pixels.insert(3, 130, 290);
+        assert_eq!(pixels.span(), Some(70..291));
+    }
 
     #[test]
     fn what_is_inserted_is_there_and_nothing_else() {

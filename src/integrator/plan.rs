@@ -4,10 +4,9 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::in_view::Optics;
 use super::samples::sampling_error;
-use crate::camera::Camera;
-use crate::laser::Laser;
-use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
@@ -109,15 +108,17 @@ pub struct SpeckleStep {
     /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains; `None`
     /// if it cannot be modelled.
     pub slip_grains: Option<f64>,
+    /// Greatest way by which places of the view move otherwise than its middle, grains.
+    pub turn_grains: f64,
 }
 
 /// Error of the correlation of neighbouring frames up to which the pattern's slip is
 /// left out: what correlations of the patterns are good to.
 const CORRELATION_TOLERANCE: f64 = 0.01;
 
-/// Relative error of speckle contrast that sampling may cause: what the law of
-/// centroid noise is good to.
-const CONTRAST_TOLERANCE: f64 = 0.03;
+/// Relative error of speckle contrast that sampling may cause: what the pattern's own
+/// contrast is good to.
+const CONTRAST_TOLERANCE: f64 = 0.005;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
@@ -144,17 +145,20 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
 }
 
 impl Plan {
-    /// The plan for a part whose bounding boxes in the laser frame, along the path
-    /// of the scan, are `part_in_laser`; `exposure` is `None` if the speed is unknown.
+    /// The plan for light that falls on these `places` (laser frame, mm) along the path
+    /// of the scan; `exposure` is `None` if the speed is unknown.
     pub fn new(
-        laser: &Laser,
-        camera: &Camera,
-        camera_from_laser: &Rigid,
-        part_in_laser: &[Aabb],
+        optics: &Optics,
+        places: &[DVec3],
         exposure: Option<ExposureMotion>,
         speckle: Option<SpeckleOptics>,
     ) -> Plan {
-        let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
+        let &Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
+        let line = LineImage::over(optics, places);
         let pitch = camera.sensor.pixel_pitch;
         let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
         let airy_radius_px = 1.22 * speckle_size_px;
@@ -169,7 +173,7 @@ impl Plan {
             noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
-            cutoff_radii: cutoff_radii(laser, camera, part_in_laser),
+            cutoff_radii: cutoff_radii(laser, camera, places),
             line_half_width_px: line.half_width_px,
             speckle_size_px,
             defocus_blur_px: line.defocus_blur_px,
@@ -301,7 +305,7 @@ impl LineImage {
         let step = &optics.step;
         // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
         let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
-        let slip = step.slip_grains.map(|grains| grains * self.defocus);
+        let slip = (step.slip_grains).map(|grains| grains * self.defocus + step.turn_grains);
         let error = slip.map_or(0.0, |grains| {
             let kept = optics.aperture.field_correlation(DVec2::X * grains);
             shared * (1.0 - kept * kept)
@@ -311,33 +315,29 @@ impl LineImage {
             "speckle out of focus",
             modelled,
             match modelled {
-                true => "two strips of the pupil's field, each displaced by its defocus".into(),
+                true => {
+                    "two strips of the pupil's field, each read where its light was seen".into()
+                }
                 false => "moves with the surface".into(),
             },
             match slip {
                 Some(slip) => format!(
-                    "slips up to {slip:.2} grains a frame: without, the correlation of \
-                     neighbouring frames, {shared:.3} at most, is off by {error:.3}"
+                    "moves up to {slip:.2} grains a frame otherwise than the middle of the view: \
+                     without, the correlation of neighbouring frames, {shared:.3} at most, is \
+                     off by {error:.3}"
                 ),
                 None => "intensities are read, or speckle moves but hardly changes".into(),
             },
         )
     }
 
-    /// From 9 × 9 points of the laser plane within each of the part's boxes, those
-    /// that the sensor sees; from the first box's middle if it sees none.
-    fn over(
-        laser: &Laser,
-        camera: &Camera,
-        camera_from_laser: &Rigid,
-        parts: &[Aabb],
-    ) -> LineImage {
-        let resolution = camera.sensor.resolution.as_dvec2();
-        let seen = |p: DVec3| {
-            let pixel = camera.project(camera_from_laser.point(p))?;
-            let inside = pixel.cmpge(DVec2::ZERO).all() && pixel.cmple(resolution).all();
-            inside.then_some(pixel)
-        };
+    /// The image at these places of the laser's light; of one pixel where there is none.
+    fn over(optics: &Optics, places: &[DVec3]) -> LineImage {
+        let Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
@@ -345,21 +345,7 @@ impl LineImage {
             widest: 0.0,
             defocus: 0.0,
         };
-        let middle = parts[0]
-            .center()
-            .with_y(0.0)
-            .max(DVec3::new(f64::MIN, 0.0, 1e-3));
-        let grid = parts.iter().flat_map(|part| {
-            (0..81).map(|i| {
-                let share = DVec3::new((i % 9) as f64 / 8.0, 0.0, (i / 9) as f64 / 8.0);
-                (part.min + part.size() * share).with_y(0.0)
-            })
-        });
-        let mut points: Vec<DVec3> = grid.filter(|&p| p.z > 0.0 && seen(p).is_some()).collect();
-        if points.is_empty() {
-            points.push(middle);
-        }
-        for p in points {
+        for &p in places {
             let moved = |by: DVec3| {
                 let from = camera.project(camera_from_laser.point(p))?;
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())

@@ -12,6 +12,7 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
             across_sheet: 0.0,
             gamma: 1.0,
             slip_grains: None,
+            turn_grains: 0.0,
         },
     };
     let prefiltered = SpeckleOptics {
@@ -23,6 +24,8 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
     assert_eq!(samples_per_side(0.4, 1.0, None), 4);
     let fine = samples_per_side(3.0, 0.25, Some(&optics));
     assert!(fine > samples_per_side(3.0, 1.0, Some(&optics)) && fine < MAX_SAMPLES_PER_SIDE);
+    // One sample of a quarter of a grain has 2.6 % too much contrast.
+    assert_eq!(samples_per_side(3.0, 4.0, Some(&optics)), 2);
     assert_eq!(samples_per_side(3.0, 0.25, Some(&prefiltered)), 1);
     assert_eq!(samples_per_side(1e-9, 1.0, None), MAX_SAMPLES_PER_SIDE);
     assert_eq!(

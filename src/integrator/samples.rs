@@ -1,6 +1,7 @@
 //! The samples of a pixel on a plane, four at a time.
 
 use super::lit::{Light, LitRays, Plane};
+use super::reference::Seen;
 use super::speckle::Reader;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{DVec2, DVec3};
@@ -81,7 +82,12 @@ impl Grid {
                 .map(|(four, shares)| {
                     four.weights
                         * shares
-                        * reader.four(four.columns, four.rows, [light.depth; 4], four.count)
+                        * reader.four(
+                            four.columns,
+                            four.rows,
+                            [Seen::new(light, plane); 4],
+                            four.count,
+                        )
                 })
                 .sum(),
         };

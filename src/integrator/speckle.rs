@@ -1,10 +1,12 @@
 //! The speckle of one frame, and how its samples read it.
 
-use crate::camera::Camera;
-use crate::math::DVec2;
+use super::reference::{References, Seen, Strips};
+use crate::camera::{Camera, ChiefRays};
+use crate::math::{DVec2, Rigid};
 use crate::speckle::coordinate::{Coordinate, GrainMap};
-use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace, SlippingField};
+use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace};
 use crate::speckle::lookup::Lookup;
+use crate::speckle::strips::StripField;
 use glam::Vec2;
 use wide::f32x4;
 
@@ -13,8 +15,8 @@ use wide::f32x4;
 pub struct Speckle<'a> {
     pub patterns: Patterns<'a>,
     pub map: GrainMap,
-    /// a_I of the seed: displacement on the sensor at which the pattern is read,
-    /// (columns, rows), mm.
+    /// a_I of the seed: displacement in the middle of an untilted sensor at which the
+    /// pattern is read, (columns, rows), mm.
     pub displacement: DVec2,
 }
 
@@ -25,7 +27,11 @@ pub enum Patterns<'a> {
     Frame {
         fields: &'a FrameFields,
         place: PupilPlace,
-        slip: Option<Slip>,
+    },
+    /// The same in strips, each read where the surface was seen in a pose of its own.
+    Strips {
+        fields: &'a FrameFields,
+        strips: Strips,
     },
     /// A ring of slices made beforehand.
     Ring {
@@ -37,35 +43,20 @@ pub enum Patterns<'a> {
     },
 }
 
-/// How the pattern of a surface out of focus slips on it; see
-/// [`PoseAnchor`](crate::speckle::anchor::PoseAnchor).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Slip {
-    /// Direction in which the pupil shifts over the field through the scan.
-    pub along: DVec2,
-    /// Displacement at which the pattern is read, (columns, rows) in mm, for a
-    /// shift by one pupil diameter and a defocus 1 − L_f/L_o of one.
-    pub per_diameter: DVec2,
-}
-
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
-    camera: &'a Camera,
+    rays: ChiefRays,
     map: GrainMap,
+    /// Texels.
     displacement: DVec2,
-    /// (s, t) of the sensor's corner and texels by column and by row, where these are
-    /// the same all over the sensor.
-    even: Option<(DVec2, [DVec2; 2])>,
     source: Source<'a>,
 }
 
 enum Source<'a> {
-    InFocus(FrameField),
-    OutOfFocus {
-        field: Box<SlippingField>,
-        /// Texels a diameter, for a defocus of one.
-        slip: DVec2,
-        focus: Focus,
+    Frame(FrameField),
+    Strips {
+        field: Box<StripField>,
+        references: Box<References>,
     },
     Ring {
         lookup: &'a Lookup,
@@ -75,7 +66,7 @@ enum Source<'a> {
 }
 
 impl<'a> Reader<'a> {
-    pub fn new(speckle: &Speckle<'a>, camera: &'a Camera) -> Reader<'a> {
+    pub fn new(speckle: &Speckle<'a>, camera: &Camera, camera_from_laser: Rigid) -> Reader<'a> {
         let Speckle {
             patterns,
             map,
@@ -91,40 +82,32 @@ impl<'a> Reader<'a> {
                 slice,
                 per_pixel,
             },
-            Patterns::Frame {
-                fields,
-                place,
-                slip: None,
-            } => Source::InFocus(fields.field(&place)),
-            Patterns::Frame {
-                fields,
-                place,
-                slip: Some(slip),
-            } => Source::OutOfFocus {
-                field: Box::new(fields.slipping(&place, slip.along)),
-                slip: map.displacement(slip.per_diameter),
-                focus: Focus::new(camera),
-            },
+            Patterns::Frame { fields, place } => Source::Frame(fields.field(&place)),
+            Patterns::Strips { fields, strips } => {
+                let both = strips.strips.map(|reference| reference.strip);
+                Source::Strips {
+                    field: Box::new(fields.strips(strips.pupil, strips.along, &both)),
+                    references: Box::new(References::new(&strips, map, camera, camera_from_laser)),
+                }
+            }
         };
-        let step = |mm: DVec2| map.displacement(mm * camera.sensor.pixel_pitch);
-        let corner = map.position(camera.screen(DVec2::ZERO), displacement);
         Reader {
-            camera,
+            rays: camera.model().chief_rays(),
             map,
-            displacement,
-            even: (map.is_even()).then(|| (corner, [DVec2::X, DVec2::Y].map(step))),
+            displacement: map.displacement(displacement),
             source,
         }
     }
 
-    /// Speckle intensity, mean 1, at a place (column, row) on the sensor that sees
-    /// a point `depth` mm from the lens along its axis.
-    pub fn intensity(&self, place: DVec2, depth: f64) -> f64 {
+    /// Speckle intensity, mean 1, at a place (column, row) on the sensor.
+    pub fn intensity(&self, place: DVec2, seen: Seen) -> f64 {
         let at = self.at(place);
         let intensity = match &self.source {
-            Source::InFocus(field) => field.intensity(at),
-            Source::OutOfFocus { field, slip, focus } => {
-                field.intensity(at, *slip * focus.defocus(place, depth))
+            Source::Frame(field) => field.intensity(at),
+            Source::Strips { field, references } => {
+                let cosines = references.cosines(place, seen);
+                let texels = |i: usize| self.map.texels(cosines[i]) + references.offsets[i];
+                field.intensity([texels(0), texels(1)])
             }
             &Source::Ring {
                 lookup,
@@ -148,26 +131,20 @@ impl<'a> Reader<'a> {
     /// (s, t) of a place on the sensor.
     #[inline(always)]
     fn at(&self, place: DVec2) -> DVec2 {
-        if let Some((corner, [by_column, by_row])) = self.even {
-            return corner + by_column * place.x + by_row * place.y;
-        }
-        let screen = self.camera.screen(place);
-        self.map.position(screen, self.displacement)
+        self.displacement + self.map.texels(self.rays.cosines(place))
     }
 
     /// For reading within the pixel around `centre`.
     #[inline(always)]
     pub fn pixel(&self, centre: DVec2) -> PixelReader<'_> {
-        let at = self.at(centre);
-        let steps = match self.even {
-            Some((_, steps)) => steps,
-            None => [DVec2::X, DVec2::Y].map(|step| self.at(centre + step) - at),
-        };
+        let (cosines, slopes) = self.rays.around(centre);
+        let at = self.displacement + self.map.texels(cosines);
+        let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
         let extent = steps[0].abs() + steps[1].abs();
         PixelReader {
             reader: self,
             field: match &self.source {
-                Source::InFocus(field) if extent.max_element() <= 2.0 * FrameField::REACH => {
+                Source::Frame(field) if extent.max_element() <= 2.0 * FrameField::REACH => {
                     Some(field)
                 }
                 _ => None,
@@ -192,47 +169,18 @@ pub(super) struct PixelReader<'a> {
 
 impl PixelReader<'_> {
     /// Intensities, mean 1, at the first `count` of four places so many columns and rows
-    /// (up to ½) from the pixel's centre, which see points `depths` mm from the lens along
-    /// its axis; what others give is of no use.
+    /// (up to ½) from the pixel's centre; what others give is of no use.
     #[inline(always)]
-    pub fn four(&self, columns: f32x4, rows: f32x4, depths: [f64; 4], count: usize) -> f32x4 {
+    pub fn four(&self, columns: f32x4, rows: f32x4, seen: [Seen; 4], count: usize) -> f32x4 {
         let Some(field) = self.field else {
             let (columns, rows) = (columns.to_array(), rows.to_array());
             let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
-            let read = |i| self.reader.intensity(self.centre + off(i), depths[i]) as f32;
+            let read = |i| self.reader.intensity(self.centre + off(i), seen[i]) as f32;
             return [0, 1, 2, 3].map(read).into();
         };
         let [by_column, by_row] = self.steps;
         let s = columns * by_column.x + rows * by_row.x;
         let t = columns * by_column.y + rows * by_row.y;
         field.around(self.at, s, t, count)
-    }
-}
-
-/// What depth is in focus where on the sensor.
-struct Focus {
-    focal_length: f64,
-    /// Distance of the sensor's plane from the lens along the axis: at pixel (0, 0),
-    /// and by column and row.
-    sensor: f64,
-    slope: DVec2,
-}
-
-impl Focus {
-    fn new(camera: &Camera) -> Focus {
-        let z = |x: f64, y: f64| camera.sensor_point(DVec2::new(x, y)).z;
-        Focus {
-            focal_length: camera.lens.focal_length,
-            sensor: z(0.0, 0.0),
-            slope: DVec2::new(z(1.0, 0.0), z(0.0, 1.0)) - z(0.0, 0.0),
-        }
-    }
-
-    /// 1 − L_f/L_o, within ±1: beyond that the blur is wider than the pupil's own
-    /// image and the formula is out of its domain.
-    fn defocus(&self, place: DVec2, depth: f64) -> f64 {
-        let image_distance = self.sensor + self.slope.dot(place);
-        let focused_on = 1.0 / self.focal_length - 1.0 / image_distance;
-        (1.0 - 1.0 / (focused_on * depth)).clamp(-1.0, 1.0)
     }
 }

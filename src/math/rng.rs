@@ -14,6 +14,7 @@ pub enum Purpose {
     Calibration = 7,
     RaceRays = 16,
     BoxPadding = 17,
+    PlanRays = 18,
 }
 
 /// Stafford's mix 13 of the 64-bit finaliser (the output function of

@@ -167,6 +167,11 @@ fn signed_volume(mesh: &Mesh) -> f64 {
         .sum()
 }
 
+/// Whether rays can meet the mesh at all.
+pub fn has_area(mesh: &Mesh) -> bool {
+    (0..mesh.triangles.len()).any(|i| !is_degenerate(mesh.triangle(i)))
+}
+
 fn is_degenerate([a, b, c]: [DVec3; 3]) -> bool {
     let longest = (a - b)
         .length_squared()

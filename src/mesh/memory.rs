@@ -2,7 +2,7 @@
 //! ends a program that takes too much without a word.
 
 use super::sniff;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use std::path::Path;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 
@@ -12,8 +12,27 @@ use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 const LOAD_STL: u64 = 95;
 
 /// Bytes that may still be taken: what the system can free without swapping, within
-/// the limit of the control group. `None` where the system does not say.
+/// the limits of the control group and of the process (`ulimit -v`, `ulimit -d`).
+/// `None` where the system does not say.
 pub fn available() -> Option<u64> {
+    [of_the_machine(), of_the_process()]
+        .into_iter()
+        .flatten()
+        .min()
+}
+
+/// What is left of the address space the process may have. Both limits count all that
+/// is mapped; of what is not data (the program itself) there is little.
+fn of_the_process() -> Option<u64> {
+    use rustix::process::{Resource, getrlimit};
+    let limits = [Resource::As, Resource::Data].map(|resource| getrlimit(resource).current);
+    let limit = limits.into_iter().flatten().min()?;
+    let pages = std::fs::read_to_string("/proc/self/statm").ok()?;
+    let taken: u64 = pages.split(' ').next()?.parse().ok()?;
+    Some(limit.saturating_sub(taken * rustix::param::page_size() as u64))
+}
+
+fn of_the_machine() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
     // 0 is what it says of systems it cannot ask.
@@ -47,7 +66,7 @@ pub(super) fn require_for_file(
     size: u64,
     available: Option<u64>,
 ) -> Result<()> {
-    let path = path.display();
+    let path = printable::path(path);
     match sniff::stl_count(head) {
         Some(count) if sniff::fills(count, size) => {
             let work = format!("{path}: reading {count} triangles at {LOAD_STL} bytes each");

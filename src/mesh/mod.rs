@@ -31,7 +31,7 @@ mod stl;
 mod text;
 mod weld;
 
-pub use check::{MeshReport, Orientation, report};
+pub use check::{MeshReport, Orientation, has_area, report};
 
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
 /// volumes finite, and a flipped exponent bit from passing as a part.

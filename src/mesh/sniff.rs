@@ -1,8 +1,9 @@
 //! Tells what a file is from its content.
 
-use super::text::{Lines, quote, words};
+use super::text::{self, Lines, quote, words};
 use super::{Source, obj};
 use crate::error::{Error, Place};
+use file_format::{FileFormat, Kind};
 
 pub const EXPECTED: &str = "an STL, OBJ or PLY mesh";
 
@@ -18,9 +19,13 @@ pub enum Format {
 /// dozen triangles, a zero byte in an attribute word if nowhere else.
 const PROBE: usize = 1024;
 
-/// Starts of files that get mistaken for meshes (lower case), with their name
-/// and what to do about it.
-const STRANGERS: [(&[u8], &str, &str); 18] = [
+const TESSELLATED: &str = "its surface as triangles, exported as STL, OBJ or PLY";
+const UNPACKED: &str = "an STL, OBJ or PLY mesh, unpacked";
+const PLAIN_TEXT: &str = "ASCII or UTF-8 text";
+
+/// Starts (lower case) of text files that get mistaken for meshes, with their name and
+/// what to give instead. Formats with a signature are the crate `file_format`'s.
+const STRANGERS: [(&[u8], &str, &str); 17] = [
     (
         b"version https://git-lfs",
         "a Git LFS pointer",
@@ -28,42 +33,78 @@ const STRANGERS: [(&[u8], &str, &str); 18] = [
     ),
     (b"<!doctype html", "an HTML page", EXPECTED),
     (b"<html", "an HTML page", EXPECTED),
-    (b"<?xml", "an XML document", EXPECTED),
-    (
-        b"pk\x03\x04",
-        "a ZIP archive or 3MF file",
-        "an STL, OBJ or PLY mesh, unpacked",
-    ),
-    (
-        b"iso-10303-21",
-        "a STEP file",
-        "its tessellation as STL, OBJ or PLY",
-    ),
-    (
-        b"start ",
-        "an IGES file",
-        "its tessellation as STL, OBJ or PLY",
-    ),
-    (b"\xff\xfe", "UTF-16 text", "ASCII or UTF-8 text"),
-    (b"\xfe\xff", "UTF-16 text", "ASCII or UTF-8 text"),
-    (
-        b"\x1f\x8b",
-        "a gzip archive",
-        "an STL, OBJ or PLY mesh, unpacked",
-    ),
-    (
-        b"7z\xbc\xaf",
-        "a 7z archive",
-        "an STL, OBJ or PLY mesh, unpacked",
-    ),
-    (b"gltf", "a glTF binary", EXPECTED),
-    (b"{", "a JSON document", EXPECTED),
-    (b"off", "an OFF mesh", EXPECTED),
-    (b"%pdf", "a PDF document", EXPECTED),
-    (b"\x89png", "a PNG image", EXPECTED),
-    (b"#vrml", "a VRML scene", EXPECTED),
-    (b"kaydara fbx", "an FBX scene", EXPECTED),
+    (b"iso-10303-21", "a STEP file", TESSELLATED),
+    (b"\xff\xfe", "UTF-16 text", PLAIN_TEXT),
+    (b"\xfe\xff", "UTF-16 text", PLAIN_TEXT),
+    (b"off", "an OFF mesh", TESSELLATED),
+    (b"coff", "an OFF mesh", TESSELLATED),
+    (b"noff", "an OFF mesh", TESSELLATED),
+    (b"# vtk datafile", "a VTK file", TESSELLATED),
+    (b"$meshformat", "a Gmsh mesh", TESSELLATED),
+    (b"*heading", "an Abaqus mesh", TESSELLATED),
+    (b"*node", "an Abaqus mesh", TESSELLATED),
+    (b"#vrml", "a VRML scene", TESSELLATED),
+    (b"; fbx", "an FBX scene", TESSELLATED),
+    (b"foamfile", "an OpenFOAM file", TESSELLATED),
+    (b"dbrep_drawable", "a BREP file", TESSELLATED),
 ];
+
+/// What a file is that is no mesh of ours, and what to give instead.
+fn stranger(bytes: &[u8], head: &[u8]) -> Option<(String, &'static str)> {
+    let named = |name: &str, expected| Some((name.to_owned(), expected));
+    let mut start = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
+    start = start.trim_ascii_start();
+    // STEP may begin with comments.
+    while let Some(comment) = start.strip_prefix(b"/*") {
+        let end = comment.windows(2).position(|pair| pair == b"*/");
+        start = comment[end.map_or(comment.len(), |end| end + 2)..].trim_ascii_start();
+    }
+    for (word, name, expected) in STRANGERS {
+        if start.starts_with(word) {
+            return named(name, expected);
+        }
+    }
+    // IGES: lines of 80 columns, the 73rd names the section and the rest count.
+    let number = |digits: &[u8]| digits.iter().all(|b| matches!(b, b' ' | b'0'..=b'9'));
+    if let [_text @ .., b's', a, b, c, d, e, f, g] = head.get(..80).unwrap_or_default()
+        && number(&[*a, *b, *c, *d, *e, *f, *g])
+        && head.get(80).is_none_or(|b| b.is_ascii_whitespace())
+    {
+        return named("an IGES file", TESSELLATED);
+    }
+    // DXF: pairs of a code and a value; 999 is a comment.
+    let mut lines = Lines::new(head);
+    while let (Some(code), Some(value)) = (lines.next(), lines.next()) {
+        match (code.trim_ascii(), value.trim_ascii()) {
+            (b"0", b"section") => return named("a DXF drawing", TESSELLATED),
+            (b"999", _) => {}
+            _ => break,
+        }
+    }
+    if start.starts_with(b"{") {
+        let is_gltf = start.windows(7).any(|word| word == b"\"asset\"");
+        return match is_gltf {
+            true => named("a glTF scene", TESSELLATED),
+            false => named("a JSON document", EXPECTED),
+        };
+    }
+    if looks_utf16(head) {
+        return named("UTF-16 text", PLAIN_TEXT);
+    }
+    let format = FileFormat::from(bytes);
+    let expected = match format.kind() {
+        // One that is cut off, whose directory stood at its end.
+        _ if start.starts_with(b"pk\x03\x04") && format == FileFormat::ArbitraryBinaryData => {
+            return named("a ZIP archive that is cut off", UNPACKED);
+        }
+        _ if format == FileFormat::ArbitraryBinaryData => return None,
+        Kind::Archive | Kind::Compressed => UNPACKED,
+        Kind::Model => TESSELLATED,
+        _ => EXPECTED,
+    };
+    let short = format.short_name().unwrap_or(format.extension());
+    Some((format!("a file of the format {format} ({short})"), expected))
+}
 
 /// The format of `source`, or an error that names what it looks like instead.
 pub fn format(source: &Source) -> Result<Format, Error> {
@@ -71,24 +112,18 @@ pub fn format(source: &Source) -> Result<Format, Error> {
     if bytes.is_empty() {
         return Err(source.error(Place::File, "an empty file", EXPECTED));
     }
-    if bytes.starts_with(b"ply") && bytes.get(3).is_none_or(u8::is_ascii_whitespace) {
-        return Ok(Format::Ply);
-    }
     // Before anything is made of its text: a binary STL may well begin with
-    // "solid" or any other word.
+    // "solid", "ply" or any other word.
     if is_whole_binary_stl(bytes) {
         return Ok(Format::BinaryStl);
     }
-    let head = bytes[..bytes.len().min(PROBE)].to_ascii_lowercase();
-    let trimmed = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&head);
-    let trimmed = trimmed.trim_ascii_start();
-    for (start, name, expected) in STRANGERS {
-        if trimmed.starts_with(start) {
-            return Err(source.error(Place::File, name, expected));
-        }
+    if bytes.starts_with(b"ply") && bytes.get(3).is_none_or(u8::is_ascii_whitespace) {
+        return Ok(Format::Ply);
     }
-    if looks_utf16(&head) {
-        return Err(source.error(Place::File, "UTF-16 text", "ASCII or UTF-8 text"));
+    let head = text::without_end_mark(bytes);
+    let head = head[..head.len().min(PROBE)].to_ascii_lowercase();
+    if let Some((name, expected)) = stranger(bytes, &head) {
+        return Err(source.error(Place::File, name, expected));
     }
     let blank = |b: u8| matches!(b, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c);
     if head.iter().any(|&b| b < b' ' && !blank(b)) {
@@ -166,11 +201,22 @@ mod tests {
         binary[80..].copy_from_slice(&[1, 0, 0, 0]);
         binary.resize(134, 0);
         assert_eq!(told(&binary), Ok(Format::BinaryStl));
+        for name in [
+            &b"ply\n"[..],
+            b"ply format ascii 1.0",
+            b"PK\x03\x04",
+            b"OFF",
+        ] {
+            binary[..name.len()].copy_from_slice(name);
+            assert_eq!(told(&binary), Ok(Format::BinaryStl), "{name:?}");
+        }
+        assert_eq!(told(b"v 0 0 0\n\x1a"), Ok(Format::Obj));
     }
 
     #[test]
     fn strangers_are_named() {
         let utf16: Vec<u8> = "solid part\n facet".bytes().flat_map(|b| [b, 0]).collect();
+        let iges = format!("{:72}S      1\n{:72}G      1\n", "made by", "1H,,1H;;");
         for (bytes, name) in [
             (b"".as_slice(), "empty file"),
             (b"  \n# x", "blanks"),
@@ -179,11 +225,30 @@ mod tests {
                 b"version https://git-lfs.github.com/spec/v1\n",
                 "git lfs pull",
             ),
-            (b"PK\x03\x04....", "3MF"),
+            (b"PK\x03\x04....", "ZIP"),
             (b"ISO-10303-21;\nHEADER;", "STEP"),
+            (b"/* made by */\n/**/ ISO-10303-21;\n", "STEP"),
+            (iges.as_bytes(), "IGES"),
+            (b"999\r\nmade by\r\n  0\r\nSECTION\r\n", "DXF"),
+            (b"0\nSECTION\n", "DXF"),
+            (b"OFF\n8 6 12\n", "OFF"),
+            (b"COFF\n8 6 12\n", "OFF"),
+            (b"# vtk DataFile Version 3.0\n", "VTK"),
+            (b"<?xml version=\"1.0\"?>\n<VTKFile>", "XML"),
+            (b"<?xml version=\"1.0\"?>\n<COLLADA>", "COLLADA"),
+            (b"glTF\x02\0\0\0", "GL Transmission Format"),
+            (b"{\"asset\":{\"version\":\"2.0\"}}", "glTF"),
+            (b"Kaydara FBX Binary  \0", "FBX"),
+            (b"\x1f\x8b\x08\0", "gzip"),
+            (b"7z\xbc\xaf\x27\x1c", "7-Zip"),
+            (b"Rar!\x1a\x07\x01\0", "RAR"),
+            (b"\x89PNG\r\n\x1a\n", "PNG"),
+            (b"\xff\xd8\xff\xe0", "JPEG"),
+            (b"II*\0\x08\0\0\0", "TIFF"),
+            (b"%PDF-1.7\n", "PDF"),
             (b"\xff\xfes\0o\0", "UTF-16"),
             (&utf16, "UTF-16"),
-            (b"{\"asset\":{}}", "JSON"),
+            (b"{\"a\":{}}", "JSON"),
             (b"hello world", "\"hello\""),
             (b"plywood", "\"plywood\""),
         ] {

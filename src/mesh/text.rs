@@ -13,6 +13,7 @@ pub struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     pub fn new(bytes: &'a [u8]) -> Lines<'a> {
+        let bytes = without_end_mark(bytes);
         Lines {
             offset: if bytes.starts_with(BOM) { BOM.len() } else { 0 },
             bytes,
@@ -40,6 +41,14 @@ impl<'a> Iterator for Lines<'a> {
         self.number += 1;
         Some(&rest[..end])
     }
+}
+
+/// Without the ^Z (and blanks) with which programs of CP/M and DOS end a text.
+pub fn without_end_mark(bytes: &[u8]) -> &[u8] {
+    bytes
+        .trim_ascii_end()
+        .strip_suffix(b"\x1a")
+        .unwrap_or(bytes)
 }
 
 /// UTF-8 byte order mark.
@@ -136,6 +145,9 @@ mod tests {
         let all: Vec<_> = lines.by_ref().collect();
         assert_eq!(all, [b"a".as_slice(), b"b", b"c", b"", b"d"]);
         assert_eq!(lines.number, 5);
+        let dos: Vec<_> = Lines::new(b"a\r\nb\r\n\x1a\r\n").collect();
+        assert_eq!(dos, [b"a".as_slice(), b"b"]);
+        assert_eq!(Lines::new(b"a\x1ab\n").count(), 1, "not at the end");
     }
 
     #[test]

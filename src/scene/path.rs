@@ -84,14 +84,16 @@ impl Motion {
                 }
             }
             Motion::Poses { poses, .. } => {
-                let last = poses.len() - 1;
-                let before = (place.max(0.0) as usize).min(last.saturating_sub(1));
+                // One pose alone says nothing of a motion: it is at rest.
+                if let [pose] = poses[..] {
+                    return pose;
+                }
+                let before = (place.max(0.0) as usize).min(poses.len() - 2);
                 let share = place - before as f64;
                 match share {
                     // As it stands in the file, to the bit.
                     0.0 => poses[before],
                     1.0 => poses[before + 1],
-                    _ if last == 0 => poses[0],
                     _ => between(&poses[before], &poses[before + 1], share),
                 }
             }
@@ -220,11 +222,7 @@ impl Resolver<'_> {
     /// The poses of the file that `key` names, where it is, and the bytes that stand for
     /// it in the hash.
     pub(super) fn poses(&self, file: &str, key: &str) -> Result<(PathBuf, Vec<Rigid>, Vec<u8>)> {
-        let file = self.beside(file);
-        if !file.is_file() {
-            let expected = format!("a CSV file of poses; there is none at {}", file.display());
-            return Err(self.source.wrong(key, &expected));
-        }
+        let file = self.file(file, key, "a CSV file of poses")?;
         let bytes = std::fs::read(&file).map_err(crate::error::Error::io("read", &file))?;
         let poses = poses::parse(&file, &bytes)?;
         let hash = Sha256::digest(&bytes).to_vec();
@@ -330,7 +328,9 @@ mod tests {
         assert_close(&motion.at(1.5), &pose(0.2, 3.0));
         assert_close(&motion.at(-0.5), &pose(-0.1, -0.5));
         assert_close(&motion.at(2.25), &pose(0.2, 6.0));
-        assert_eq!(list(vec![pose(0.3, 2.0)]).at(0.4), pose(0.3, 2.0));
+        for place in [-1.0, 0.0, 0.4, 1.0, 2.0] {
+            assert_eq!(list(vec![pose(0.3, 2.0)]).at(place), pose(0.3, 2.0));
+        }
     }
 
     #[test]

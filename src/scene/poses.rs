@@ -14,7 +14,7 @@ const QUATERNION: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"];
 /// `x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg` (rotations about the fixed x, then y, then
 /// z axis) or `x_mm,y_mm,z_mm,qw,qx,qy,qz` (unit quaternion, real part first); then
 /// numbers. Errors name file, line and column.
-pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
+pub fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
     let mut reader = ReaderBuilder::new()
         .trim(Trim::All)
         .flexible(true)

@@ -1,12 +1,13 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
 use super::accuracy::PlanTable;
-use super::file::{PartTable, SceneFile, Unit};
+use super::file::{PartTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
+use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
-use crate::error::{Error, Result};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
@@ -16,6 +17,7 @@ use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
 use crate::surface::Lambert;
 use sha2::{Digest, Sha256};
+use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
 use std::path::{Path, PathBuf};
 
 /// How speckle is modelled.
@@ -51,6 +53,8 @@ pub struct Scene {
     pub tolerance_um: Option<f64>,
     /// Methods the scene names.
     pub methods: PlanTable,
+    /// The part in words: the mesh file and its unit, or the shape and its size.
+    pub part: String,
     #[serde(skip)]
     pub mesh: Mesh,
     /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
@@ -171,6 +175,7 @@ impl Resolver<'_> {
 
     fn scene(self, file: SceneFile) -> Result<Scene> {
         let (mesh, mesh_hash) = self.mesh(&file.part)?;
+        let part = file.part.in_words();
         let (copies, copies_hash) = match &file.part.copies {
             None => (vec![Rigid::IDENTITY], Vec::new()),
             Some(file) => {
@@ -190,7 +195,6 @@ impl Resolver<'_> {
             "part.rotation_deg",
             "angles from -360 to 360",
         )?;
-        let rotation = DVec3::from(rotation).map(f64::to_radians);
         let position = self.lengths(file.part.position_mm, "part.position_mm")?;
         let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
@@ -221,11 +225,15 @@ impl Resolver<'_> {
             accel: methods.accel.unwrap_or_default(),
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
+            part,
             mesh,
             mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
             copies,
             surface: Lambert { reflectance },
-            part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
+            part_at_rest: Rigid::from_euler_xyz(
+                DVec3::from(rotation).map(f64::to_radians),
+                position.into(),
+            ),
             laser,
             head_from_laser,
             camera,
@@ -250,11 +258,7 @@ impl Resolver<'_> {
         let Some(name) = &file.measure.calibration else {
             return Ok((None, Vec::new()));
         };
-        let path = self.beside(name);
-        if !path.is_file() {
-            let expected = format!("a calibration; there is none at {}", path.display());
-            return Err(self.source.wrong("measure.calibration", &expected));
-        }
+        let path = self.file(name, "measure.calibration", "a calibration")?;
         let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
         let calibration = Calibration::parse(&path, &bytes)?;
         let [columns, rows] = camera.sensor.resolution.to_array();
@@ -266,9 +270,30 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
-    /// A path relative to the scene file.
-    pub(super) fn beside(&self, name: &str) -> PathBuf {
-        self.path.parent().unwrap_or(Path::new("")).join(name)
+    /// The file `key` names, relative to the scene file. Errors: there is none, or it is
+    /// no regular file, at the key; `Error::Io` where the system does not let it be found.
+    pub(super) fn file(&self, name: &str, key: &str, what: &str) -> Result<PathBuf> {
+        let file = self.path.parent().unwrap_or(Path::new("")).join(name);
+        let shown = printable::path(&file);
+        match file.metadata() {
+            Ok(kind) if kind.is_file() => Ok(file),
+            Ok(_) => {
+                // A pipe or a device may never end.
+                let expected = format!("{what}; {shown} is not a regular file");
+                Err(self.source.wrong(key, &expected))
+            }
+            // Of the last two are names that no file can have.
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    NotFound | NotADirectory | InvalidInput | InvalidFilename
+                ) =>
+            {
+                let expected = format!("{what}; there is none at {shown}");
+                Err(self.source.wrong(key, &expected))
+            }
+            Err(error) => Err(Error::io("read", &file)(error)),
+        }
     }
 
     /// The part's mesh, and the bytes that stand for a mesh file in the hash.
@@ -293,17 +318,19 @@ impl Resolver<'_> {
             }
         };
         if let Some(table) = &part.mesh {
-            let file = self.beside(&table.file);
-            if !file.exists() {
-                let expected = format!("a mesh file; there is none at {}", file.display());
-                return Err(self.source.wrong("part.mesh.file", &expected));
-            }
+            let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
             let bytes = mesh::read(&file, self.watch)?;
             let (mesh, hash) = rayon::join(
                 || mesh::parse(&file, &bytes, table.unit.mm()),
                 || Sha256::digest(&bytes).to_vec(),
             );
-            return Ok((mesh?, hash));
+            let mesh = mesh?;
+            if !mesh::has_area(&mesh) {
+                let found = format!("{} triangles, all without area", mesh.triangles.len());
+                let expected = "a mesh with a surface";
+                return Err(InputError::new(&file, Place::File, found, expected).into());
+            }
+            return Ok((mesh, hash));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

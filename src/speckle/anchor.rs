@@ -4,6 +4,7 @@
 
 use super::frame_field::PupilPlace;
 use super::motion::{Motion, SurfaceView, defocus_phase, speckle_shift};
+use super::strips::Strip;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::DQuat;
 
@@ -25,7 +26,7 @@ pub struct ScanCoordinate {
 /// ```text
 /// (s,t) = m·Qᵀ·R₀·X          X: the view's point in part coordinates at this pose
 /// A_p   = tensor formula of the motion a = −R₀·X, Ω = log(R·R₀ᵀ)
-/// φ     = k·D²·n_o·a/(8·L_o²)
+/// φ     = k·D²·n_o·a/(8·L_f²)
 /// u     = e·(−A_p)/D         e: direction of −A_p for a step along the scan
 /// ```
 ///
@@ -50,20 +51,12 @@ pub struct ScanCoordinate {
 /// **Out of focus** the pattern slips on the surface by m·d·(A_p − b), d = 1 −
 /// L_f/L_o, b = Qᵀa (Yamaguchi 1981). A_p grows with the scan while d changes from
 /// one surface point to the next, so that a displacement by it, taken from any
-/// fixed pose, would in the end shear the grains without limit. What slips is the
-/// light through the pupil, and light that has passed it does not come back: each
-/// phasor of the field need only slip from where it was seen in the middle of the
-/// pupil. The plane of phasors is cut into strips across e, one pupil wide, and
-/// strip k is displaced by d·[`slip`](Self::slip)·(u − u_k), u_k the middle of the
-/// strip. A pupil stands on two strips at most. Their fields are independent and
-/// their powers are the areas of pupil they fill: their sum is a Gaussian field of
-/// the same variance (contrast 1), a strip comes in at the pupil's rim and with no
-/// power (no jump), and whatever two frames share is the same phasors, displaced by
-/// the formula, as much as the pupils overlap. No grain is displaced by more than
+/// fixed pose, would in the end shear the grains without limit. So it is taken from
+/// the references of [`strips`](super::strips): no grain is displaced by more than
 /// a blur circle, d·m·D·|A_p − b|/|A_p|, which shears it by that over the depth's
-/// own scale: D/L_o times the slope of the surface. `None` where the surface moves
-/// but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4: then strips never
-/// change and nothing limits the shear.
+/// own scale: D/L_o times the slope of the surface. There are none where the surface
+/// moves but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4: then strips
+/// never change and nothing limits the shear.
 ///
 /// In focus, points that are imaged with another magnification m′ than the view's
 /// keep the grain size, but their grains slip against the surface by (m − m′)/m of
@@ -77,7 +70,22 @@ pub struct PoseAnchor {
     reference: DMat3,
     start: PupilPlace,
     along: DVec2,
-    slip: Option<DVec2>,
+    /// Way of the head (its own frame) for which the pupil shifts by one diameter along
+    /// `along`; `None` if strips do not limit the shear.
+    per_diameter: Option<DVec3>,
+}
+
+/// A pose in which a strip of the pupil's plane filled the pupil.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reference {
+    /// Which strip it is.
+    pub number: f64,
+    pub part_from_head: Rigid,
+    /// The pattern coordinate of the pose.
+    pub at: ScanCoordinate,
+    /// Pupil diameters that the phasors lie aside of the plane's own; see
+    /// [`Strip::aside`](super::strips::Strip::aside).
+    pub aside: f64,
 }
 
 /// |A_p − b|/|A_p| up to which strips of the pupil field limit the shear.
@@ -93,12 +101,8 @@ impl PoseAnchor {
         scan_step: DVec3,
         wavelength_mm: f64,
     ) -> PoseAnchor {
-        let view = SurfaceView {
-            focus_distance: view.pupil_centre.distance(view.point),
-            ..view
-        };
         let step = speckle_shift(
-            &view,
+            &view.in_focus(),
             &Motion {
                 part: -scan_step,
                 ..Motion::default()
@@ -106,6 +110,7 @@ impl PoseAnchor {
         );
         let slip = step.sensor - view.magnification * step.pupil;
         let most = MOST_SLIP * view.magnification.abs() * step.pupil.length();
+        let limited = step.delta > 0.0 && slip.length() <= most;
         let mut anchor = PoseAnchor {
             view,
             wavelength_mm,
@@ -115,7 +120,7 @@ impl PoseAnchor {
                 defocus: 0.0,
             },
             along: -step.pupil.try_normalize().unwrap_or(DVec2::NEG_X),
-            slip: (step.delta > 0.0 && slip.length() <= most).then(|| slip / step.delta),
+            per_diameter: limited.then(|| scan_step / step.delta),
         };
         anchor.start = anchor.coordinate(start).pupil;
         anchor
@@ -126,10 +131,22 @@ impl PoseAnchor {
         self.along
     }
 
-    /// −m·(A_p − b)/δ of the scan: displacement (mm on the sensor) at which to read
-    /// the pattern of a surface of defocus 1, for each diameter of u.
-    pub fn slip(&self) -> Option<DVec2> {
-        self.slip
+    /// The references of the two strips that the pupil stands on, if strips limit the
+    /// shear: poses on the scan's way through this one.
+    pub fn references(&self, part_from_head: &Rigid, width: f64) -> Option<[Reference; 2]> {
+        let per_diameter = self.per_diameter?;
+        let way = self.coordinate(part_from_head).u;
+        let reference = |number: f64| {
+            let rest = Strip::middle(number, width) - way;
+            let pose = *part_from_head * Rigid::translation(per_diameter * rest);
+            Reference {
+                number,
+                part_from_head: pose,
+                at: self.coordinate(&pose),
+                aside: 0.0,
+            }
+        };
+        Some(Strip::numbers(way, width).map(reference))
     }
 
     /// The pattern coordinate of a pose of the head.
@@ -141,7 +158,7 @@ impl PoseAnchor {
             rotation: rotation_vector(&turn),
             ..Motion::default()
         };
-        let shift = speckle_shift(&self.view, &motion);
+        let shift = speckle_shift(&self.view.in_focus(), &motion);
         let pupil = if self.view.pupil_diameter > 0.0 {
             -shift.pupil / self.view.pupil_diameter
         } else {
@@ -241,10 +258,10 @@ mod tests {
         );
     }
 
-    /// Way along the viewing ray and slip are those of the formulas for the motion
-    /// between two poses; rounding as above.
+    /// The way along the viewing ray is that of the formula for the motion between two
+    /// poses; rounding as above.
     #[test]
-    fn defocus_and_slip_are_those_of_the_formulas() {
+    fn the_defocus_is_that_of_the_formula() {
         let scan = DVec3::new(0.1, 1.0, 0.2);
         let start = pose(TURN, FAR);
         let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
@@ -262,21 +279,25 @@ mod tests {
             (found + phase).abs() < 1e-8 * phase.abs(),
             "{found} {phase}"
         );
-        let length = view().pupil_centre.distance(view().point);
-        let focused = |focus_distance| {
-            let view = SurfaceView {
-                focus_distance,
-                ..view()
-            };
-            speckle_shift(&view, &motion).sensor
-        };
-        let defocus = 0.05;
-        let slip = focused(length * (1.0 - defocus)) - focused(length);
-        let found = anchor.slip().unwrap() * defocus * (to.u - from.u);
-        assert!(
-            (found + slip).length() < 1e-8 * slip.length(),
-            "{found} {slip}"
-        );
+    }
+
+    /// The pupil stands in the middle of a strip in its reference, which lies on the
+    /// scan's way; rounding of numbers up to 1e3.
+    #[test]
+    fn references_lie_on_the_way_where_their_strips_fill_the_pupil() {
+        let scan = DVec3::new(0.1, 1.0, 0.2);
+        let start = pose(TURN, FAR);
+        let anchor = PoseAnchor::new(view(), &start, scan, 660e-6);
+        for (way, width) in [(0.0, 1.0), (301.7, 1.0), (-17.3, 1.4)] {
+            let here = pose(TURN, FAR + start.vector(scan * way));
+            let u = anchor.coordinate(&here).u;
+            for reference in anchor.references(&here, width).unwrap() {
+                assert!((reference.at.u - Strip::middle(reference.number, width)).abs() < 1e-9);
+                assert!((reference.at.u - u).abs() <= width * (1.0 + 1e-9));
+                let moved = here.inverse() * reference.part_from_head;
+                assert!(moved.translation.cross(scan).length() < 1e-9);
+            }
+        }
     }
 
     /// Light that converges on the pupil: A_p vanishes while the surface moves.
@@ -293,7 +314,7 @@ mod tests {
             ..view()
         };
         let anchor = PoseAnchor::new(converging, &pose(TURN, FAR), DVec3::Y, 660e-6);
-        assert_eq!(anchor.slip(), None);
+        assert_eq!(anchor.references(&pose(TURN, FAR), 1.0), None);
     }
 
     #[test]
@@ -354,6 +375,8 @@ mod tests {
         let anchor = PoseAnchor::new(grazing, &Rigid::IDENTITY, DVec3::Y, 660e-6);
         let c = anchor.coordinate(&pose(TURN, FAR));
         assert!(c.sensor.is_finite() && c.pupil.shift.is_finite() && c.u.is_finite());
-        assert!(c.pupil.defocus.is_finite() && anchor.slip().is_none_or(DVec2::is_finite));
+        assert!(c.pupil.defocus.is_finite());
+        let references = anchor.references(&pose(TURN, FAR), 1.0);
+        assert!(references.is_none_or(|both| both.iter().all(|r| r.at.sensor.is_finite())));
     }
 }

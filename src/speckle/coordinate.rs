@@ -1,4 +1,4 @@
-//! From millimetres on the sensor to texels of the pattern.
+//! From directions behind the lens to texels of the pattern.
 
 use crate::math::DVec2;
 
@@ -10,32 +10,31 @@ pub struct Coordinate {
     pub u: f64,
 }
 
-/// Lays the pattern over the sensor: (s,t) = α₁·a_I + α₂·t_screen with
-/// α₁ = (N/d)/h texels per millimetre, α₂ = α₁·pixel pitch (Bergmann et al.
-/// 2016).
+/// Lays the pattern over the sensor.
 ///
-/// On a tilted sensor h changes from pixel to pixel. α(x)·x would then be
-/// wrong to first order, since its derivative α + x·dα/dx is not α. The map
-/// here is the conformal one whose scale is α₁·exp(−(∇h/h)·x): grains keep
-/// their shape everywhere and have size h to second order in ∇h/h·x (0.5 %
-/// where h is 10 % off its central value).
+/// The seed's (s,t) = α₁·a_I + α₂·t_screen (Bergmann et al. 2016) takes the grain to be
+/// h = λ·d_PI/D in all directions and everywhere. It is so in the direction cosines of
+/// the rays behind the lens, of which it is λ/D. So the pattern lies evenly over these,
+/// (s,t) = (N/d)·(D/λ)·(cosines + a_I/d_PI), and on the sensor its grains are as long
+/// and as wide as tilt and field make them
+/// ([`ChiefRays`](crate::camera::ChiefRays)).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GrainMap {
-    /// α₁ at the sensor's origin, texels/mm, along the direction that the sensor's
-    /// columns have on the pattern.
-    alpha: DVec2,
-    /// ∇h/h at the sensor's origin, 1/mm.
-    relative_gradient: DVec2,
+    /// Texels per unit of direction cosine, along the direction that the sensor's columns
+    /// have on the pattern.
+    texels: DVec2,
+    /// d_PI on the axis, mm.
+    image_distance: f64,
 }
 
 impl GrainMap {
-    /// `grain_mm` the minimal speckle size h = λ·d_PI/D at the sensor's
-    /// origin, mm; `gradient` its change per millimetre of sensor, zero for
-    /// an untilted one; `texels_per_speckle` of the pattern's spec.
-    pub fn new(texels_per_speckle: f64, grain_mm: f64, gradient: DVec2) -> GrainMap {
+    /// `grain` is λ/D, the minimal speckle size in direction cosines; `image_distance`
+    /// the distance from pupil to sensor on the axis, mm; `texels_per_speckle` of the
+    /// pattern's spec.
+    pub fn new(texels_per_speckle: f64, grain: f64, image_distance: f64) -> GrainMap {
         GrainMap {
-            alpha: DVec2::X * (texels_per_speckle / grain_mm),
-            relative_gradient: gradient / grain_mm,
+            texels: DVec2::X * (texels_per_speckle / grain),
+            image_distance,
         }
     }
 
@@ -43,48 +42,23 @@ impl GrainMap {
     /// (unit vector) where they ran along s.
     pub fn turned(self, turn: DVec2) -> GrainMap {
         GrainMap {
-            alpha: turn.rotate(self.alpha),
+            texels: turn.rotate(self.texels),
             ..self
         }
     }
 
-    /// (s, t) in texels of the sensor point `screen_mm`, whose pattern is
-    /// displaced by `a_i_mm` as the seed adds it: a pattern that moved by +a
-    /// over the sensor is read with a_I = −a. The displacement is scaled by
-    /// the central α₁, whatever its length, so that it moves grains without
-    /// stretching them.
-    pub fn position(&self, screen_mm: DVec2, a_i_mm: DVec2) -> DVec2 {
-        self.alpha.rotate(a_i_mm + self.flatten(screen_mm))
+    /// Texels of a difference of direction cosines.
+    #[inline(always)]
+    pub fn texels(&self, cosines: DVec2) -> DVec2 {
+        self.texels.rotate(cosines)
     }
 
-    /// A displacement on the sensor (mm) in texels, as [`position`](Self::position)
-    /// adds it.
+    /// Texels by which a displacement a_I moves the place where the pattern is read. a_I
+    /// is in mm on an untilted sensor, in the middle of the field: as the seed adds it, a
+    /// pattern that moved by +a over the sensor is read with a_I = −a. It moves grains
+    /// without stretching them.
     pub fn displacement(&self, mm: DVec2) -> DVec2 {
-        self.alpha.rotate(mm)
-    }
-
-    /// Whether grains have one size all over the sensor: then the map is linear.
-    pub fn is_even(&self) -> bool {
-        self.relative_gradient == DVec2::ZERO
-    }
-
-    /// (1 − exp(−cz))/c for z = x + iy and c = g_x − i·g_y, whose derivative
-    /// has modulus exp(−g·x).
-    fn flatten(&self, z: DVec2) -> DVec2 {
-        let g = self.relative_gradient;
-        if self.is_even() {
-            return z;
-        }
-        let cz = DVec2::new(g.x * z.x + g.y * z.y, g.x * z.y - g.y * z.x);
-        // The series' next term is |cz|⁴/120 < 1e-10, where the closed form
-        // has begun to cancel.
-        if cz.length_squared() < 1e-4 {
-            let series = |factor: DVec2, n: f64| DVec2::X - cz.rotate(factor) / n;
-            return z.rotate(series(series(series(DVec2::X, 4.0), 3.0), 2.0));
-        }
-        let shrunk = (-cz.x).exp() * DVec2::from_angle(-cz.y);
-        // Division by c is multiplication by its conjugate (g_x, g_y) / |c|².
-        (DVec2::X - shrunk).rotate(g) / g.length_squared()
+        self.texels(mm / self.image_distance)
     }
 }
 
@@ -92,41 +66,15 @@ impl GrainMap {
 mod tests {
     use super::*;
 
+    /// A grain h = λ·d_PI/D is `texels_per_speckle` texels wide in the middle of the
+    /// sensor, for places and for displacements alike.
     #[test]
-    fn an_untilted_sensor_scales_by_alpha() {
-        let map = GrainMap::new(4.0, 0.008, DVec2::ZERO);
-        let at = map.position(DVec2::new(1.5, -2.0), DVec2::new(0.1, 0.2));
-        assert!((at - DVec2::new(800.0, -900.0)).length() < 1e-9, "{at}");
-    }
-
-    /// The local scale, by central differences, is α₁·exp(−g·x) the same in
-    /// both directions and without shear, and thus (N/d)/h to (g·x)²/2; on
-    /// both sides of the switch from series to closed form.
-    #[test]
-    fn grains_keep_shape_and_have_the_local_size() {
-        let (h, gradient) = (0.01, DVec2::new(1e-4, 3e-4));
-        let map = GrainMap::new(4.0, h, gradient);
-        for p in [
-            DVec2::ZERO,
-            DVec2::new(0.2, 0.1),
-            DVec2::new(-3.0, 2.5),
-            DVec2::new(2.0, 3.0),
-        ] {
-            let step = 1e-4;
-            let slope = |d: DVec2| {
-                (map.position(p + step * d, DVec2::ZERO) - map.position(p - step * d, DVec2::ZERO))
-                    / (2.0 * step)
-            };
-            let (dx, dy) = (slope(DVec2::X), slope(DVec2::Y));
-            let excess = gradient.dot(p) / h;
-            let scale = 400.0 * (-excess).exp();
-            assert!((dx.length() / scale - 1.0).abs() < 1e-7, "{p}");
-            assert!((dy - dx.perp()).length() < 1e-7 * scale, "{p}");
-            let local = 4.0 / (h * (1.0 + excess));
-            assert!(
-                (dx.length() / local - 1.0).abs() < 0.6 * excess * excess + 1e-7,
-                "{p}"
-            );
-        }
+    fn a_grain_in_the_middle_has_the_texels_of_the_pattern() {
+        let (grain, distance) = (1e-4, 80.0);
+        let map = GrainMap::new(4.0, grain, distance).turned(DVec2::new(0.6, 0.8));
+        let h = grain * distance;
+        let expected = DVec2::new(0.6, 0.8) * 4.0;
+        assert!((map.displacement(DVec2::X * h) - expected).length() < 1e-12);
+        assert!((map.texels(DVec2::X * (h / distance)) - expected).length() < 1e-12);
     }
 }

@@ -17,7 +17,6 @@ use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
-use std::f64::consts::PI;
 use wide::{f32x4, i32x4};
 
 /// Where a frame's pupil stands among the speckle field's phasors.
@@ -87,8 +86,8 @@ impl FrameFields {
     }
 
     /// How fields lie over a sensor; as [`GrainMap::new`].
-    pub fn map(&self, grain_mm: f64, gradient: DVec2) -> GrainMap {
-        GrainMap::new(self.spec.texels_per_speckle, grain_mm, gradient).turned(TURN)
+    pub fn map(&self, grain: f64, image_distance: f64) -> GrainMap {
+        GrainMap::new(self.spec.texels_per_speckle, grain, image_distance).turned(TURN)
     }
 
     /// Bytes of a field.
@@ -98,40 +97,29 @@ impl FrameFields {
 
     /// The field at `place`.
     pub fn field(&self, place: &PupilPlace) -> FrameField {
-        self.part(place, |_| true)
-    }
-
-    /// The field at `place`, to be read where it slips along the pupil's way, whose
-    /// direction is `along` (unit vector).
-    pub fn slipping(&self, place: &PupilPlace, along: DVec2) -> SlippingField {
-        let width = self.spec.aperture.extent();
-        let way = place.shift.dot(along);
-        let first = (way / width - 0.5).floor();
-        let turned = TURN.rotate(along);
-        let strips = [first, first + 1.0].map(|strip| {
-            let low = strip * width;
-            let inside = |q: DVec2| (low..low + width).contains(&q.dot(turned));
-            (self.part(place, inside), low + width / 2.0 - way)
-        });
-        let [near, far] = [&strips[0], &strips[1]].map(|(_, middle)| middle * middle);
-        SlippingField {
-            strips,
-            turn: turned * (PI / self.spec.texels_per_speckle * (far - near)),
-        }
-    }
-
-    /// The field of those phasors that `keep` (place on the plane, diameters) takes.
-    fn part(&self, place: &PupilPlace, keep: impl Fn(DVec2) -> bool) -> FrameField {
-        let width = self.spec.pupil_width();
         let shift = TURN.rotate(place.shift);
-        let centre = shift * width;
+        let chirp = |axis, p| 4.0 * place.defocus * p * (p + shift[axis]);
+        self.part(place.shift, |_| true, chirp).0
+    }
+
+    /// The field of those phasors that `keep` (place on the plane, texels) takes, of a
+    /// pupil at `shift`, and the phasor that its zero frequency is. `chirp` is the phase
+    /// of a phasor, the sum of one along each axis of the plane for so many diameters from
+    /// the pupil's centre.
+    pub(super) fn part(
+        &self,
+        shift: DVec2,
+        keep: impl Fn(DVec2) -> bool,
+        chirp: impl Fn(usize, f64) -> f64,
+    ) -> (FrameField, DVec2) {
+        let width = self.spec.pupil_width();
+        let centre = TURN.rotate(shift) * width;
         let origin = carrier(centre);
         let [x, y] = [0, 1].map(|axis| {
             let from_centre = origin[axis] as f64 - centre[axis];
             let factor = |(k, sharpening): (usize, &f64)| {
                 let offset = k as f64 - self.plane.reach() as f64;
-                let p = (offset + from_centre) / width;
-                let phase = 4.0 * place.defocus * p * (p + shift[axis]);
+                let phase = chirp(axis, (offset + from_centre) / width);
                 Complex32::new(
                     (sharpening * phase.cos()) as f32,
                     (sharpening * phase.sin()) as f32,
@@ -140,9 +128,22 @@ impl FrameFields {
             let factors = self.sharpening.iter().enumerate().map(factor);
             factors.collect::<Vec<_>>()
         });
-        let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64) / width);
+        let keep = |x: i64, y: i64| keep(DVec2::new(x as f64, y as f64));
         let columns = self.plane.columns(centre, [&x, &y], keep);
-        self.transform(&columns)
+        (
+            self.transform(&columns),
+            DVec2::from(origin.map(|x| x as f64)),
+        )
+    }
+
+    /// A place or way on the plane of phasors (diameters, along the sensor's columns and
+    /// rows) in texels of the plane.
+    pub(super) fn on_plane(&self, place: DVec2) -> DVec2 {
+        TURN.rotate(place) * self.spec.pupil_width()
+    }
+
+    pub(super) fn spec(&self) -> &PatternSpec {
+        &self.spec
     }
 
     fn transform(&self, columns: &Columns) -> FrameField {
@@ -189,9 +190,9 @@ pub struct FrameField {
     /// 2(1−μ), μ the correlation of fields one column and one row apart: a blend
     /// (1−f)A + fB keeps 1 − f(1−f)·2(1−μ) of the variance.
     lost: Vec2,
-    first_weight: f32,
+    pub(super) first_weight: f32,
     /// Weight, and where in (s, t) each further independent pattern is read.
-    further_layers: Vec<(f32, DVec2)>,
+    pub(super) further_layers: Vec<(f32, DVec2)>,
 }
 
 impl FrameField {
@@ -257,7 +258,7 @@ impl FrameField {
     /// The blend of four texels, and what to multiply its power by for the variance
     /// that blending lost.
     #[inline(always)]
-    fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
+    pub(super) fn amplitude(&self, at: DVec2) -> (Vec2, f32) {
         let (column, fs) = self.period.place(at.x);
         let (row, ft) = self.period.place(at.y);
         let gain =
@@ -265,42 +266,6 @@ impl FrameField {
         let (top, bottom) = self.pairs(row * self.stride + column);
         let sides = top + ft * (bottom - top);
         (sides.xy() + fs * (sides.zw() - sides.xy()), gain)
-    }
-}
-
-/// A field in two parts that are displaced each by its own slip.
-///
-/// The plane of phasors is cut into strips across the pupil's way, as wide as the
-/// pupil, so that it stands on two at most. Strip k is displaced by −S·m_k, m_k the
-/// way from the pupil's middle to the strip's (diameters): by nothing when it fills
-/// the pupil, and from frame to frame by S times the pupil's step. Two strips then
-/// slip alike; for their sum to do so, the phase between them must follow: a frame's
-/// band is centred on its own pupil, c, so its strips turn by 2π·c·(their distance
-/// apart) from frame to frame, and η_k = π·(d/N)·(along·S)·m_k² takes that back.
-/// (It is the difference of chirps |q−c|² and |q−u_k|² over a strip around u_k.)
-pub struct SlippingField {
-    strips: [(FrameField, f64); 2],
-    /// η of the second strip less that of the first, for each texel of S.
-    turn: DVec2,
-}
-
-impl SlippingField {
-    /// Speckle intensity at (s, t), mean 1, for a slip S in texels a diameter.
-    #[inline(always)]
-    pub fn intensity(&self, at: DVec2, slip: DVec2) -> f32 {
-        let [(first, near), (second, far)] = &self.strips;
-        let places = [at - slip * *near, at - slip * *far];
-        let turn = DVec2::from_angle(self.turn.dot(slip)).as_vec2();
-        let layer = |offset: DVec2| {
-            let (a, gain_a) = first.amplitude(places[0] + offset);
-            let (b, gain_b) = second.amplitude(places[1] + offset);
-            (a * gain_a.sqrt() + b.rotate(turn) * gain_b.sqrt()).length_squared()
-        };
-        let mut sum = first.first_weight * layer(DVec2::ZERO);
-        for &(weight, offset) in &first.further_layers {
-            sum += weight * layer(offset);
-        }
-        sum
     }
 }
 

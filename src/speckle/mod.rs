@@ -20,6 +20,7 @@ mod slice_statistics;
 pub mod slices;
 mod spectrum;
 pub mod statistics;
+pub mod strips;
 mod texture;
 pub mod theory;
 pub mod wave;

@@ -65,6 +65,16 @@ pub struct SurfaceView {
     pub magnification: f64,
 }
 
+impl SurfaceView {
+    /// The view with its point in focus.
+    pub(super) fn in_focus(&self) -> SurfaceView {
+        SurfaceView {
+            focus_distance: self.pupil_centre.distance(self.point),
+            ..*self
+        }
+    }
+}
+
 /// Small motions of the three bodies in the frame of the [`SurfaceView`]. A scan
 /// head that carries laser and camera by v is `laser` = `camera` = v, or the part
 /// by −v: only differences count.
@@ -106,15 +116,19 @@ pub fn overlap_correlation(delta: f64) -> f64 {
 }
 
 /// Phase φ by which a change of the distance to the surface defocuses the pupil's
-/// rim against its centre, φ = k·D²·ζ/(8·L_o²), ζ the motion of the part towards
+/// rim against its centre, φ = k·D²·ζ/(8·L_f²), ζ the motion of the part towards
 /// the pupil (rad). Not in the tensor formula, whose terms are linear across the
-/// pupil; one longitudinal grain, 8λ(L_o/D)², is φ = 2π.
+/// pupil; one longitudinal grain, 8λ(L_f/D)², is φ = 2π.
+///
+/// It is the distance in focus that counts: light that meets at an image point comes
+/// through the pupil point X from a surface point that lies (1 − L_o/L_f)·X beside
+/// the chief ray, at an angle X/L_f to it, and its path changes by ζ·X²/(2·L_f²).
 pub fn defocus_phase(view: &SurfaceView, motion: &Motion, wavelength_mm: f64) -> f64 {
     let Some(ray) = ViewRay::of(view) else {
         return 0.0;
     };
     let approach = (motion.part - motion.camera).dot(ray.direction);
-    let half_angle = view.pupil_diameter / (2.0 * ray.length);
+    let half_angle = view.pupil_diameter / (2.0 * view.focus_distance);
     std::f64::consts::PI / wavelength_mm * half_angle * half_angle * approach
 }
 
@@ -193,11 +207,11 @@ impl Source {
     }
 }
 
-/// A_p in mm, linear in the motion, not yet limited: `None` or not finite where
+/// Q·A_p in mm, linear in the motion, not yet limited: `None` or not finite where
 /// the formula is singular. (TᵀQ)⁻¹Tᵀ is written as the projection onto the plane
 /// across n_o along the surface normal n, which is the same map without a basis
 /// T: Q·A_p = L_o·(g − n·(g·n_o)/(n·n_o)).
-fn pupil_shift(view: &SurfaceView, ray: &ViewRay, motion: &Motion) -> Option<DVec2> {
+fn pupil_shift(view: &SurfaceView, ray: &ViewRay, motion: &Motion) -> Option<DVec3> {
     let (n_s, curvature) = view.source.at(view.point)?;
     let relative = motion.part - motion.camera;
     let g_times_length = ray.length
@@ -205,7 +219,23 @@ fn pupil_shift(view: &SurfaceView, ray: &ViewRay, motion: &Motion) -> Option<DVe
         + relative
         - ray.direction * ray.direction.dot(relative);
     let slant = g_times_length.dot(ray.direction) / view.normal.dot(ray.direction);
-    Some(ray.project(g_times_length - view.normal * slant))
+    Some(g_times_length - view.normal * slant)
+}
+
+/// A_p on the plane across `axis` (unit vector) in which the pupil lies, in diameters:
+/// the shift along the viewing rays as the lens sees it. At most 1, past which no
+/// light of the old field is left; zero where the formula is singular.
+pub fn shift_on_pupil(view: &SurfaceView, motion: &Motion, axis: DVec3) -> DVec3 {
+    let Some(ray) = ViewRay::of(view) else {
+        return DVec3::ZERO;
+    };
+    let across = pupil_shift(view, &ray, motion).unwrap_or(DVec3::NAN);
+    let slant = ray.direction * (across.dot(axis) / ray.direction.dot(axis));
+    let shift = (across - slant) / view.pupil_diameter;
+    match shift.is_finite() {
+        true => shift.clamp_length_max(1.0),
+        false => DVec3::ZERO,
+    }
 }
 
 /// Shift of the speckle across the pupil and on the sensor (formula: see the
@@ -243,6 +273,7 @@ pub fn speckle_shift(view: &SurfaceView, motion: &Motion) -> SpeckleShift {
     let Some(pupil) = pupil_shift(view, &ray, motion) else {
         return lost;
     };
+    let pupil = ray.project(pupil);
     if !pupil.is_finite() {
         return lost;
     }

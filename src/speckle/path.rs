@@ -1,8 +1,9 @@
 //! The pattern coordinate along a path on which the head turns against the part.
 
-use super::anchor::{PoseAnchor, ScanCoordinate};
+use super::anchor::{PoseAnchor, Reference, ScanCoordinate, rotation_vector};
 use super::frame_field::PupilPlace;
 use super::motion::SurfaceView;
+use super::strips::Strip;
 use crate::math::{DVec2, DVec3, Rigid};
 
 /// The coordinate of a turning scan, a function of the place on its path alone.
@@ -17,12 +18,31 @@ use crate::math::{DVec2, DVec3, Rigid};
 ///
 /// A place that the path visits twice has other grains the second time: also the
 /// second turn of a rotary table. u follows −A_p of the largest step, and what
-/// other steps shift across that direction does not decorrelate. Surface off the
-/// view's point by a share ε of the radius it turns at slips by ε against its grains.
+/// other steps shift across that direction does not decorrelate a ring of slices.
+///
+/// The coordinate is that of the view's point. A turn moves every place otherwise,
+/// and [`references`](Self::references) say for each from where: the poses on the path in
+/// which the strips of [`strips`](super::strips) filled the pupil, so that what is
+/// added up along the path does not matter. A strip that the pupil leaves and comes
+/// back to has other phasors the second time.
+///
+/// References must not be so far that the surface shows another side. So where speckle
+/// hardly crosses the pupil, while the surface turns or comes nearer, the pupil is shifted
+/// all the same, by a diameter for each [`FARTHEST`]. It is a view in which
+/// the turn's axis halves the angle between laser and camera, and grains under it change
+/// sooner than they should.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PathAnchor {
     at: Vec<ScanCoordinate>,
+    along: DVec2,
+    /// Diameters that lie between phasors of one visit and of the next, so that a pupil
+    /// sees none of both.
+    apart: f64,
 }
+
+/// Turn (rad), or way in distances from the surface to the pupil, after which a view
+/// shows the surface otherwise: cosines have changed by a tenth to a half.
+const FARTHEST: f64 = 0.5;
 
 impl PathAnchor {
     /// `view` in head coordinates, then the poses of the frames, at least one.
@@ -48,7 +68,8 @@ impl PathAnchor {
                 // u is its own here, so the anchor's direction does not matter.
                 let anchor = PoseAnchor::new(view, &from, DVec3::ZERO, wavelength_mm);
                 let [a, b] = [from, pose].map(|pose| anchor.coordinate(&pose));
-                let step = b.pupil.shift - a.pupil.shift;
+                let shift = b.pupil.shift - a.pupil.shift;
+                let step = at_least(shift, largest, renewal(&view, &from, &pose));
                 if step.length_squared() > largest.length_squared() {
                     largest = step;
                 }
@@ -62,7 +83,86 @@ impl PathAnchor {
         for coordinate in &mut at {
             coordinate.u = coordinate.pupil.shift.dot(along);
         }
-        PathAnchor { at }
+        let across = |at: &ScanCoordinate| at.pupil.shift.dot(along.perp()).abs();
+        PathAnchor {
+            apart: 4.0 + 2.0 * at.iter().map(across).fold(0.0, f64::max),
+            at,
+            along,
+        }
+    }
+
+    /// e: direction of the pupil's way over the field.
+    pub fn along(&self) -> DVec2 {
+        self.along
+    }
+
+    /// The references of the two strips that the pupil stands on at `place`, strips
+    /// being `width` diameters wide; `pose` gives the poses of the path.
+    pub fn references(
+        &self,
+        place: f64,
+        width: f64,
+        pose: impl Fn(f64) -> Rigid,
+    ) -> [Reference; 2] {
+        let way = self.coordinate(place).u;
+        Strip::numbers(way, width).map(|number| {
+            let visit = self.visit(place, Strip::middle(number, width), width);
+            Reference {
+                number,
+                part_from_head: pose(visit.middle),
+                at: self.coordinate(visit.middle),
+                aside: visit.first as f64 * self.apart,
+            }
+        })
+    }
+
+    /// The visit of the pupil, on its way through `place`, to the strip of this middle.
+    fn visit(&self, place: f64, middle: f64, width: f64) -> Visit {
+        let last = self.at.len() - 1;
+        let off = |node: usize| self.at[node].u - middle;
+        let seen = |node: &usize| off(*node).abs() < width;
+        let before = (place.max(0.0) as usize).min(last.saturating_sub(1));
+        let entered = (0..=before).rev().find(|node| !seen(node));
+        let first = entered.unwrap_or(0);
+        // The way goes on as it went before its first node and after its last.
+        let beyond = |node: usize, next: usize| {
+            let step = off(next) - off(node);
+            (step != 0.0).then(|| node as f64 - off(node) / step * (next as f64 - node as f64))
+        };
+        if entered.is_none() && last > 0 {
+            if let Some(crossing) = beyond(0, 1).filter(|crossing| *crossing < 0.0) {
+                return Visit {
+                    first,
+                    middle: crossing,
+                };
+            }
+        }
+        let mut nearest = first;
+        for node in first..last {
+            // Out of the strip again, without a crossing.
+            if node > before && !seen(&node) {
+                return Visit {
+                    first,
+                    middle: nearest as f64,
+                };
+            }
+            let crossed = off(node) * off(node + 1) <= 0.0 && off(node) != off(node + 1);
+            if let Some(crossing) = beyond(node, node + 1).filter(|_| crossed) {
+                return Visit {
+                    first,
+                    middle: crossing,
+                };
+            }
+            if off(node + 1).abs() < off(nearest).abs() {
+                nearest = node + 1;
+            }
+        }
+        let after = (last > 0).then(|| beyond(last, last - 1)).flatten();
+        let middle = after.filter(|crossing| *crossing > last as f64);
+        Visit {
+            first,
+            middle: middle.unwrap_or(nearest as f64),
+        }
     }
 
     /// The pattern coordinate at a frame's number, or between two.
@@ -80,6 +180,32 @@ impl PathAnchor {
             u: from.u + (to.u - from.u) * share,
         }
     }
+}
+
+/// A stay of a strip in the pupil.
+struct Visit {
+    /// The last node of the path before it, or the path's first.
+    first: usize,
+    /// Where on the path the pupil stands in the strip's middle, or nearest to it.
+    middle: f64,
+}
+
+/// Diameters by which the pupil must shift from one pose to another for references not to
+/// be too far.
+fn renewal(view: &SurfaceView, from: &Rigid, to: &Rigid) -> f64 {
+    let motion = to.inverse() * *from;
+    let turn = rotation_vector(&motion.rotation).length();
+    let way = motion.point(view.point).distance(view.point);
+    (turn + way / view.pupil_centre.distance(view.point)) / FARTHEST
+}
+
+/// `step`, or if it is shorter than `least` one of that length.
+fn at_least(step: DVec2, else_along: DVec2, least: f64) -> DVec2 {
+    if step.length() >= least {
+        return step;
+    }
+    let direction = step.try_normalize().or(else_along.try_normalize());
+    direction.unwrap_or(DVec2::X) * least
 }
 
 #[cfg(test)]

@@ -106,6 +106,12 @@ impl WaveImage {
     }
 }
 
+/// Samples of a round pupil for a window so many grains λL_f/D wide: one per grain of
+/// the window's area, in a disc.
+pub fn pupil_samples(window_grains: f64) -> f64 {
+    PI / 4.0 * window_grains * window_grains
+}
+
 /// The field of the scatterers at a pupil sampled for the window of `grid`.
 ///
 /// # Errors
@@ -117,6 +123,17 @@ pub fn pupil_field(
     pupil: &Pupil,
     wavelength_mm: f64,
     grid: &ImageGrid,
+) -> Result<PupilField> {
+    pupil_field_watched(scatterers, pupil, wavelength_mm, grid, &|| {})
+}
+
+/// The same; `sampled` is called after each sample of the pupil, from any thread.
+pub fn pupil_field_watched(
+    scatterers: &[Scatterer],
+    pupil: &Pupil,
+    wavelength_mm: f64,
+    grid: &ImageGrid,
+    sampled: &(dyn Fn() + Sync),
 ) -> Result<PupilField> {
     let lengths = [
         wavelength_mm,
@@ -153,7 +170,9 @@ pub fn pupil_field(
             }
             let p =
                 pupil.centre + pupil.right * offset(index % side) + pupil.up * offset(index / side);
-            field_at(p, scatterers, wavelength_mm)
+            let field = field_at(p, scatterers, wavelength_mm);
+            sampled();
+            field
         })
         .collect();
     Ok(PupilField {

@@ -5,7 +5,7 @@ use super::motion::{
     Motion, Source, SurfaceView, ViewRay, defocus_phase, overlap_correlation,
     overlap_correlation_defocused, seed_scalar_sum, speckle_shift,
 };
-use super::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field};
+use super::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field, pupil_samples};
 use super::wave_correlation::{PairCorrelation, correlate_pairs};
 use super::wave_patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::{Error, Result};
@@ -84,6 +84,17 @@ pub fn measure_motions(cases: &[MotionCase], sampling: &WaveSampling) -> Result<
     let rows = cases.iter().enumerate();
     rows.map(|(k, case)| measure_motion(case, sampling, key.with(k as u64)))
         .collect()
+}
+
+/// Terms exp(ikr) that [`measure_motions`] adds up for a case: scatterers times samples
+/// of the pupil, for two images of each surface. Errors: as there.
+pub fn motion_terms(case: &MotionCase, sampling: &WaveSampling) -> Result<f64> {
+    let scale = case.view.magnification;
+    let shift = speckle_shift(&case.view, &case.motion);
+    let plan = Plan::of(case, shift.sensor / scale, sampling)?;
+    let grains = plan.grid.pixels as f64 / PIXELS_PER_GRAIN;
+    let scatterers = (plan.patch / plan.cell).powi(2);
+    Ok(2.0 * sampling.realisations as f64 * scatterers * pupil_samples(grains))
 }
 
 fn measure_motion(case: &MotionCase, sampling: &WaveSampling, key: Key) -> Result<MotionRow> {

@@ -131,13 +131,24 @@ pub const MOST_LINES_OF_A_FILE: usize = 400;
 pub const MOST_LINES_OF_A_FUNCTION: usize = 69;
 
 /// Files that may be longer, and why.
-pub const LONG_FILES: &[(&str, &str)] = &[(
-    "tests/meshes.rs",
-    "a table of one row a file of the shared data",
-)];
+pub const LONG_FILES: &[(&str, &str)] = &[
+    (
+        "tests/hostile_input.rs",
+        "a table of one row a case, of which a page is made",
+    ),
+    (
+        "tests/meshes.rs",
+        "a table of one row a file of the shared data",
+    ),
+];
 
 /// Functions that may be longer (file, name), and why.
 pub const LONG_FUNCTIONS: &[(&str, &str, &str)] = &[
+    (
+        "tests/hostile_input.rs",
+        "cases",
+        "a table of one row a case",
+    ),
     (
         "tests/meshes.rs",
         "every_nasty_file_gives_the_right_mesh_or_an_error_that_names_the_problem",

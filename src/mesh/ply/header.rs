@@ -3,6 +3,7 @@
 use crate::error::{Error, Place};
 use crate::mesh::Source;
 use crate::mesh::text::{Lines, quote};
+use std::collections::HashSet;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Encoding {
@@ -107,6 +108,9 @@ pub fn read<'a>(
 ) -> Result<(Encoding, Vec<Element<'a>>), Error> {
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    // A header may be as long as the file.
+    let mut names = HashSet::new();
+    let mut properties = HashSet::new();
     while let Some(line) = lines.next() {
         let place = Place::Line(lines.number);
         let words: Vec<&[u8]> = line
@@ -135,10 +139,11 @@ pub fn read<'a>(
                 let Some(count) = parsed else {
                     return Err(source.error(place, quote(count), "a count"));
                 };
-                if elements.iter().any(|e| e.name == name) {
+                if !names.insert(name) {
                     let found = format!("a second element {}", quote(name));
                     return Err(source.error(place, found, "each element once"));
                 }
+                properties.clear();
                 elements.push(Element {
                     name,
                     count,
@@ -153,6 +158,14 @@ pub fn read<'a>(
                         "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
                     return Err(source.error(place, quote(line), expected));
                 };
+                if !properties.insert(property.name) {
+                    let found = format!(
+                        "a second property {} of element {}",
+                        quote(property.name),
+                        quote(element.name)
+                    );
+                    return Err(source.error(place, found, "each property once"));
+                }
                 element.properties.push(property);
             }
             [b"end_header"] => {
@@ -252,6 +265,11 @@ mod tests {
                 "element face",
                 "element vertex",
                 "a.ply:8: found a second element",
+            ),
+            (
+                "float y",
+                "float x",
+                "a.ply:6: found a second property \"x\" of element \"vertex\", expected each",
             ),
             ("float y", "half y", "a.ply:6: found \"property half y\""),
             (

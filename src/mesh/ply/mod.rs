@@ -1,8 +1,7 @@
 //! PLY (Turk, 1994), ASCII and binary of either byte order.
 //!
 //! Wanted are `x`, `y`, `z` of element `vertex` and the list `vertex_indices`
-//! (or `vertex_index`) of element `face`, after it; everything else is stepped
-//! over. Faces of one or two corners have no area and are passed over. After
+//! (or `vertex_index`) of element `face`; everything else is stepped over. Faces of one or two corners have no area and are passed over. After
 //! the last element blank lines (ASCII) or too few bytes for one more of it
 //! (binary) are ignored; more is refused, since then the counts are wrong.
 
@@ -29,14 +28,25 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     };
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
-    for element in &elements {
+    // Faces that stand before the vertices, and where.
+    let mut early = None;
+    for (i, element) in elements.iter().enumerate() {
+        let vertices_follow = || elements[i..].iter().any(|e| e.name == b"vertex");
         match element.name {
             b"vertex" => body.vertices(element, &mut positions)?,
+            b"face" if vertices_follow() => {
+                early = Some((element, body.offset, body.lines.clone()));
+                body.skip(element)?;
+            }
             b"face" => body.faces(element, &positions, &mut triangles)?,
             _ => body.skip(element)?,
         }
     }
     body.end(elements.last().map_or(0, |e| e.least(encoding)))?;
+    if let Some((element, offset, lines)) = early {
+        (body.offset, body.lines) = (offset, lines);
+        body.faces(element, &positions, &mut triangles)?;
+    }
     if triangles.is_empty() {
         let names: Vec<_> = (elements.iter())
             .map(|e| format!("{} {}", e.count, String::from_utf8_lossy(e.name)))
@@ -251,10 +261,7 @@ impl<'a> Body<'a> {
                 return Err(self.source.error(
                     place,
                     format!("face {number} with vertex {corner}"),
-                    format!(
-                        "one of the {} vertices before it, counted from 0",
-                        positions.len()
-                    ),
+                    format!("one of the {} vertices, counted from 0", positions.len()),
                 ));
             };
             if !self.source.usable(position) {

@@ -1,0 +1,42 @@
+//! What the part of a scene is, in words.
+
+use super::file::{PartTable, Unit};
+
+impl PartTable {
+    /// The mesh file and its unit, or the shape and its size.
+    pub(super) fn in_words(&self) -> String {
+        if let Some(mesh) = &self.mesh {
+            return format!("{} in {}", mesh.file, name(mesh.unit));
+        }
+        if let Some(plane) = &self.plane {
+            let [x, y] = plane.size_mm;
+            return format!("plane of {x} × {y} mm");
+        }
+        if let Some(sphere) = &self.sphere {
+            return format!("sphere of {} mm radius", sphere.radius_mm);
+        }
+        if let Some(cylinder) = &self.cylinder {
+            let (radius, length) = (cylinder.radius_mm, cylinder.length_mm);
+            return format!("cylinder of {radius} mm radius and {length} mm length");
+        }
+        let block = self.step_block.as_ref();
+        block.map_or(String::new(), |block| {
+            let [x, y, z] = block.size_mm;
+            format!(
+                "block of {x} × {y} × {z} mm with a step of {} mm",
+                block.step_mm
+            )
+        })
+    }
+}
+
+/// Its symbol.
+fn name(unit: Unit) -> &'static str {
+    match unit {
+        Unit::Micrometre => "µm",
+        Unit::Millimetre => "mm",
+        Unit::Centimetre => "cm",
+        Unit::Metre => "m",
+        Unit::Inch => "inch",
+    }
+}
