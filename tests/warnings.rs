@@ -5,6 +5,7 @@
 mod generated;
 mod program;
 
+use generated::{FOCAL_MM, SEEDS, Sensor};
 use lasertrace::batch::{self, Checked, Control, Reason, Simulation};
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::scene::{Scene, Unit};
