@@ -94,7 +94,7 @@ const MISTAKES: &[(&str, &str, &str)] = &[
     (
         PLANE,
         "mesh = { file = \"/\", unit = \"mm\" }",
-        "/: found something that is not a regular file",
+        "part.mesh.file: found \"/\", expected a mesh file; / is not a regular file",
     ),
     (
         "[laser]",

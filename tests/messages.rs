@@ -1,0 +1,355 @@
+//! What the program says in each case that a person can get wrong, as a page:
+//! `docs/messages.md` is what this test writes.
+
+mod program;
+
+use program::{PLANE, folder_with, run, scene};
+use std::fs;
+use std::path::Path;
+
+/// What is changed in the scene, and what the message must hold.
+struct Case {
+    what: &'static str,
+    changes: &'static [(&'static str, &'static str)],
+    words: &'static [&'static str],
+}
+
+const fn case(
+    what: &'static str,
+    changes: &'static [(&'static str, &'static str)],
+    words: &'static [&'static str],
+) -> Case {
+    Case {
+        what,
+        changes,
+        words,
+    }
+}
+
+/// Mistakes in a scene file.
+const MISTAKES: &[Case] = &[
+    case(
+        "a key is misspelt",
+        &[("power_mw", "power_mv")],
+        &["scene.toml:13: laser.power_mv", "did you mean power_mw?"],
+    ),
+    case(
+        "a key stands in the wrong table",
+        &[("[laser]\n", "[laser]\nreflectance = 0.5\n")],
+        &[
+            "scene.toml:12: laser.reflectance",
+            "reflectance belongs in [part]",
+        ],
+    ),
+    case(
+        "a table is misspelt",
+        &[("[camera]", "[camra]")],
+        &["scene.toml:21: camra", "did you mean camera?"],
+    ),
+    case(
+        "a choice is misspelt",
+        &[("\"uniform\"", "\"unifrom\"")],
+        &[
+            "scene.toml:19: laser.line.profile",
+            "did you mean \"uniform\"?",
+        ],
+    ),
+    case(
+        "a key is missing",
+        &[("exposure_ms = 0.01\n", "")],
+        &["camera.exposure_ms is missing, expected exposure_ms = ... in [camera]"],
+    ),
+    case(
+        "a key is given twice",
+        &[("power_mw = 10", "power_mw = 10\npower_mw = 20")],
+        &[
+            "scene.toml:14: laser.power_mw",
+            "each key once; the first stands in line 13",
+        ],
+    ),
+    case(
+        "a table is given as a list of tables",
+        &[("[laser]", "[[laser]]")],
+        &["scene.toml:11: laser: found [[laser]], a list of tables, expected [laser]"],
+    ),
+    case(
+        "a table is given as a list",
+        &[("{ size_mm = [16, 16] }", "[[16, 16]]")],
+        &["scene.toml:6: part.plane: found [[16, 16]], expected a table"],
+    ),
+    case(
+        "a step is higher than its block",
+        &[(PLANE, "step_block = { size_mm = [9, 9, 3], step_mm = 4 }")],
+        &["part.step_block.step_mm: found 4, expected less than the block's height, 3 mm"],
+    ),
+    case(
+        "a sphere has a negative radius",
+        &[(PLANE, "sphere = { radius_mm = -3, chord_um = 20 }")],
+        &["part.sphere.radius_mm: found -3, expected more than 0"],
+    ),
+    case(
+        "a sphere is to be too fine",
+        &[(PLANE, "sphere = { radius_mm = 900, chord_um = 0.001 }")],
+        &["part.sphere.chord_um: found 0.001, expected a larger chord"],
+    ),
+    case(
+        "a number has a comma",
+        &[("power_mw = 10", "power_mw = 10,5")],
+        &["scene.toml:13: laser.power_mw", "which is not TOML"],
+    ),
+    case(
+        "a number is text",
+        &[("power_mw = 10", "power_mw = \"ten\"")],
+        &["scene.toml:13: laser.power_mw: found \"ten\", expected a number"],
+    ),
+    case(
+        "frames are given beside a list of poses",
+        &[("frames = 3", "frames = 3\nposes = \"path.csv\"")],
+        &["scan.frames: found 3, expected no frames beside scan.poses"],
+    ),
+];
+
+/// Scenes that give nothing, or nothing worth having.
+const WORTHLESS: &[Case] = &[
+    case(
+        "the laser looks away",
+        &[("direction = [0, 0, -1]", "direction = [0, 0, 1]")],
+        &["The laser looks away from the part"],
+    ),
+    case(
+        "the camera looks away",
+        &[("look_at_mm = [0, 0, 0]", "look_at_mm = [0, -900, 900]")],
+        &["The camera looks away from the laser's light"],
+    ),
+    case(
+        "the path passes the part by",
+        &[("start_mm = [0, -0.5, 0]", "start_mm = [0, -30, 0]")],
+        &["passes 21.0 mm beside it", "frame 2"],
+    ),
+    case(
+        "the light passes beside the part",
+        &[("position_mm = [0, 0, 0]", "position_mm = [50, 0, 0]")],
+        &["its rays pass the part by"],
+    ),
+    case(
+        "the part is above the range",
+        &[("position_mm = [0, 0, 0]", "position_mm = [0, 0, 30]")],
+        &["the part's top is", "mm above the near end"],
+    ),
+    case(
+        "the part is below the range",
+        &[("position_mm = [0, 0, 0]", "position_mm = [0, 0, -30]")],
+        &["mm below the far end"],
+    ),
+    case(
+        "the camera looks to the side",
+        &[
+            ("fan_deg = 12", "fan_deg = 60"),
+            ("look_at_mm = [0, 0, 0]", "look_at_mm = [40, 0, 0]"),
+        ],
+        &["to the side of what the camera sees"],
+    ),
+    case(
+        "a file in millimetres is said to be in metres",
+        &[(PLANE, "mesh = { file = \"part.obj\", unit = \"m\" }")],
+        &["is probably wrong: try part.mesh.unit = \"mm\""],
+    ),
+    case(
+        "a file in metres is said to be in millimetres",
+        &[(PLANE, "mesh = { file = \"metres.obj\", unit = \"mm\" }")],
+        &["is probably wrong: try part.mesh.unit = \"m\""],
+    ),
+    case(
+        "the laser is inside the part",
+        &[
+            (
+                PLANE,
+                "step_block = { size_mm = [20, 20, 20], step_mm = 2 }",
+            ),
+            ("position_mm = [0, 0, 0]", "position_mm = [0, 0, 90]"),
+        ],
+        &["The laser is inside the part in the first frame"],
+    ),
+    case(
+        "the laser goes through the part",
+        &[
+            (
+                PLANE,
+                "step_block = { size_mm = [20, 20, 20], step_mm = 2 }",
+            ),
+            ("position_mm = [0, 0, 0]", "position_mm = [0, 40, 90]"),
+            ("step_mm = 0.5\n", "step_mm = 35\n"),
+        ],
+        &["The laser passes through the part's surface after frame 0"],
+    ),
+    case(
+        "the line is too dark",
+        &[("power_mw = 10", "power_mw = 0.0001")],
+        &[
+            "gives too dark a line: at most",
+            "needed to tell it from noise",
+        ],
+    ),
+    case(
+        "the sensor saturates everywhere",
+        &[("power_mw = 10", "power_mw = 100000")],
+        &[
+            "saturates the sensor: up to",
+            "Lower camera.exposure_ms or laser.power_mw",
+        ],
+    ),
+    case(
+        "the step is 0",
+        &[("step_mm = 0.5", "step_mm = 0")],
+        &["all 3 frames are taken at the same place"],
+    ),
+];
+
+/// A square of 16 units and one of 0.016.
+const SQUARE: &str = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
+
+fn folder_of(case: &Case) -> tempfile::TempDir {
+    let mut text = scene(PLANE);
+    for (from, to) in case.changes {
+        assert!(text.contains(from), "{}: {from}", case.what);
+        text = text.replacen(from, to, 1);
+    }
+    let folder = folder_with(&text);
+    fs::write(folder.path().join("part.obj"), SQUARE).unwrap();
+    let small = SQUARE.replace('8', "0.008");
+    fs::write(folder.path().join("metres.obj"), small).unwrap();
+    folder
+}
+
+#[track_caller]
+fn assert_says(case: &Case, message: &str) {
+    for word in case.words {
+        assert!(
+            message.contains(word),
+            "{}: no {word:?} in {message}",
+            case.what
+        );
+    }
+}
+
+/// The message of a mistake: one line on stderr, exit code 65; and with `--json` the same
+/// on stdout.
+fn mistake(case: &Case) -> String {
+    let folder = folder_of(case);
+    let (code, stdout, stderr) = run(folder.path(), &["check", "scene.toml"]);
+    assert_eq!((code, stdout.as_str()), (65, ""), "{}", case.what);
+    let message = stderr
+        .trim_end()
+        .trim_start_matches("lasertrace: ")
+        .to_owned();
+    assert_says(case, &message);
+    let (code, stdout, again) = run(folder.path(), &["check", "scene.toml", "--json"]);
+    assert_eq!((code, again), (65, stderr));
+    let json: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    let error = &json["error"];
+    assert_eq!(error["message"], message);
+    assert_eq!(
+        (&error["exit_code"], &error["file"]),
+        (&65.into(), &"scene.toml".into())
+    );
+    assert!(
+        error["line"].is_u64() && error["key"].is_string(),
+        "{error}"
+    );
+    message
+}
+
+/// The warnings of a scene: lines of the page, exit code 0; with `--strict` an error.
+fn warnings(case: &Case) -> Vec<String> {
+    let folder = folder_of(case);
+    let (code, page, stderr) = run(folder.path(), &["check", "scene.toml"]);
+    assert_eq!((code, stderr.as_str()), (0, ""), "{}", case.what);
+    let lines = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("warning: "));
+    let warnings: Vec<String> = lines.map(str::to_owned).collect();
+    assert_says(case, &warnings.join("\n"));
+    let (code, stdout, stderr) = run(folder.path(), &["check", "scene.toml", "--strict"]);
+    assert_eq!((code, stdout.as_str()), (65, ""), "{}", case.what);
+    assert!(
+        warnings
+            .iter()
+            .all(|warning| stderr.contains(warning.as_str())),
+        "{stderr}"
+    );
+    warnings
+}
+
+fn row(what: &str, message: &str) -> String {
+    format!("| {what} | {} |\n", message.replace('|', "\\|"))
+}
+
+#[test]
+fn every_case_gives_the_message_that_the_page_of_messages_says() {
+    let mut page = String::from(
+        "# What the program says\n\nWritten by the test `tests/messages.rs`, which holds each \
+         message; the scene is that of `tests/program/mod.rs` with one mistake.\n\n\
+         ## Mistakes in a scene file\n\nOne line on stderr, exit code 65. `--json` gives the \
+         same as an object on stdout: `error.message`, `file`, `line`, `key`, `found`, \
+         `expected`, `hint`.\n\n| case | message |\n|---|---|\n",
+    );
+    for case in MISTAKES {
+        page += &row(case.what, &mistake(case));
+    }
+    page += "\n## Scenes that give nothing worth having\n\nLines of `check`'s page, of what \
+             `scan` prints, of the report and of `summary.json` (`warnings`); with `--strict` an \
+             error, exit code 65.\n\n| case | message |\n|---|---|\n";
+    for case in WORTHLESS {
+        page += &row(case.what, &warnings(case).join("<br>"));
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let kept = fs::read_to_string(root.join("docs/messages.md")).unwrap_or_default();
+    let written = Path::new(env!("CARGO_TARGET_TMPDIR")).join("messages.md");
+    fs::write(&written, &page).unwrap();
+    assert!(
+        kept == page,
+        "messages have changed; look at them, then\n  cp {} docs/messages.md",
+        written.display()
+    );
+}
+
+/// A good scene's page: no warning, the numbers a person looks for, none in JSON or with
+/// all digits of a double.
+#[test]
+fn check_prints_a_page_to_read_and_json_only_if_asked() {
+    let folder = folder_with(&scene("sphere = { radius_mm = 4, chord_um = 20 }"));
+    let (code, page, _) = run(folder.path(), &["check", "scene.toml"]);
+    assert_eq!(code, 0);
+    for words in [
+        "No warnings: the sensor measures the part on this path.",
+        "measuring range",
+        "height of 1 px",
+        "the sensor moves 0.500 mm from frame to frame, 1.00 mm in all",
+        "The whole scan, about",
+        "closed, normals outward",
+    ] {
+        assert!(page.contains(words), "no {words:?} in\n{page}");
+    }
+    assert!(!page.contains(['{', '}']), "{page}");
+    let long = |word: &str| word.chars().filter(char::is_ascii_digit).count() > 9;
+    assert!(!page.split_whitespace().any(long), "{page}");
+    let (_, json, _) = run(folder.path(), &["check", "scene.toml", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["warnings"], serde_json::json!([]));
+    assert!(json["measuring_range"]["near_mm"].is_f64());
+}
+
+/// A mistake on the command line is an object too.
+#[test]
+fn a_wrong_command_line_is_said_in_json_too() {
+    let folder = folder_with(&scene(PLANE));
+    let (code, stdout, stderr) = run(folder.path(), &["chek", "scene.toml", "--json"]);
+    assert_eq!(code, 64);
+    let json: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(json["error"]["exit_code"], 64);
+    let message = json["error"]["message"].as_str().unwrap();
+    assert!(
+        stderr.contains(message) && message.contains("chek"),
+        "{message}"
+    );
+}
