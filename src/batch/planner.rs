@@ -161,7 +161,7 @@ fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect
         // pattern is about a Gaussian of 0.42 h.
         let blur = match effect.effect {
             "defocus" => plan.defocus_blur_px / 4.0,
-            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+            "diffraction of the lens" => 0.42 * plan.grain.speckle_extent_px[1],
             SLIP => return slip_named(methods).unwrap_or(effect),
             _ => return effect,
         };
@@ -205,7 +205,7 @@ impl List {
             let influence = choice.influence(|finest| finest.speckle = None)?;
             let modelled = plan.speckle.is_some();
             let speckle = self.add("speckle", modelled, speckle_method(plan), influence);
-            let why = format!("grain {:.2} px", plan.speckle_size_px);
+            let why = format!("grain {}", plan.grain);
             speckle.why = because(methods.speckle.is_some(), &why);
             speckle.cost_ms = Some(speckle_ms);
         }

@@ -7,6 +7,7 @@ mod cutoff;
 mod direct;
 mod footprint;
 mod geometric;
+mod grain_extent;
 pub mod height_error;
 pub mod in_view;
 mod irradiance;
