@@ -389,8 +389,8 @@ const SCATTERERS_A_GRAIN: f64 = 8.0;
 /// Most terms of a patch: some hours on one core, and an image that fits in a gigabyte.
 pub const MOST_TERMS: f64 = 1e12;
 
-/// Time of a term on one core, measured (`lasertrace wave SCENE` of `scenes/plane`).
-const SECONDS_A_TERM: f64 = 1e-8;
+/// Time of a term on one core, transforms included: `lasertrace wave scenes/plane/scene.toml`.
+const SECONDS_A_TERM: f64 = 6e-9;
 
 /// Steps in which `wave_patch` tells its progress.
 pub const PATCH_STEPS: u64 = 1000;
