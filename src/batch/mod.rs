@@ -18,6 +18,7 @@ mod scan;
 mod scan_speckle;
 mod simulation;
 mod speckle;
+mod surface_view;
 mod synthetic;
 mod tiers;
 mod uncertainty;

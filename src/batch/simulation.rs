@@ -3,7 +3,8 @@
 
 use super::measure::error_model;
 use super::planner;
-use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
+use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, DarkCounts, Sensor};
 use crate::error::Result;
@@ -95,7 +96,7 @@ impl<'s> Simulation<'s> {
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };
-                Some(ScanSpeckle::new(scene, &model, plan.speckle_slips)?)
+                Some(ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips)?)
             }
             _ => None,
         };

@@ -1,8 +1,8 @@
 //! The wave-optics reference: its own table of motions and line widths, and one
 //! patch of a scene.
 
-use super::scan_speckle::surface_view;
 use super::simulation::Simulation;
+use super::surface_view::surface_view;
 use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
