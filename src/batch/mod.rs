@@ -22,6 +22,7 @@ mod scan_speckle;
 mod search;
 mod simulation;
 mod speckle;
+mod surface_view;
 mod synthetic;
 mod tiers;
 mod uncertainty;

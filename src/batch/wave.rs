@@ -1,7 +1,7 @@
 //! The wave-optics reference: its own table of motions and line widths, and one
 //! patch of a scene.
 
-use super::scan_speckle::surface_view;
+use super::surface_view::surface_view;
 use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
