@@ -53,9 +53,14 @@ impl Run<'_> {
             files.push(checksum(&bytes));
             files::write_checked_later(name, &bytes)?;
         }
+        let is_blurred = |peak: &&Peak| {
+            let blur = simulation.defocus_blur_px(peak);
+            blur.is_some_and(|blur| blur > 2.0 * peak.sigma)
+        };
         Ok(FrameRecord {
             frame,
             files,
+            blurred: peaks.iter().filter(is_blurred).count() as u32,
             points,
         })
     }

@@ -172,6 +172,7 @@ impl Compared<'_> {
                 speckle,
                 noise,
                 per_count,
+                blur: self.fine.defocus_blur_px(peak).unwrap_or(0.0),
                 geometry: off(&geometry),
                 coarse: coarse.each_ref().map(|rows| off(rows)),
             })

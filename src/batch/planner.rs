@@ -139,6 +139,7 @@ pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> R
         plans.truncate(1);
     }
     let (mut plan, accuracy) = pilot.choose(plans, tolerance);
+    plan.blurred_share = pilot.blurred_share().unwrap_or(plan.blurred_share);
     plan.effects = effects(scene, &pilot, &base, &plan);
     plan.accuracy = Some(accuracy);
     Ok(plan)
@@ -194,19 +195,17 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
     let replaced = ["speckle", "pixel integration"];
     let others = base.effects.iter();
     let others = others.filter(|e| !replaced.contains(&e.effect));
-    list.0.extend(others.cloned().map(|effect| {
-        // A disc's standard deviation is a quarter of its diameter; the core of Airy's
-        // pattern is about a Gaussian of 0.42 h.
-        let blur = match effect.effect {
-            "defocus" => plan.defocus_blur_px / 4.0,
-            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+    list.0.extend(others.cloned().map(|mut effect| {
+        match effect.effect {
+            "defocus" => {
+                effect.influence_um = quantile(&pilot.defocus());
+                effect.why = plan.defocus_in_words();
+            }
+            "diffraction of the lens" => effect.influence_um = quantile(&pilot.diffraction()),
             SLIP => return slip_named(methods).unwrap_or(effect),
-            _ => return effect,
-        };
-        Effect {
-            influence_um: quantile(&pilot.widened(blur)),
-            ..effect
+            _ => {}
         }
+        effect
     }));
     list.0
 }

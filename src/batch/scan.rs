@@ -35,6 +35,9 @@ pub struct ScanSummary {
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
     pub points: usize,
+    /// Share of the points at which the lens's blur, which images do not have, is wider than
+    /// two standard deviations of their line; `null` if there is none.
+    pub blurred_share: Option<f64>,
     /// Of sound points ([`CloudPoint::is_sound`]); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
@@ -195,7 +198,11 @@ fn finish(
     run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
     let scene = simulation.scene;
-    let mut points = journal.points()?.concat();
+    let (mut points, mut blurred) = (Vec::new(), 0);
+    for record in journal.records()? {
+        points.extend(record.points);
+        blurred += record.blurred;
+    }
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses: Vec<HeadPose> = frames
@@ -221,6 +228,8 @@ fn finish(
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
+    let share = || blurred as f64 / points.len() as f64;
+    summary.blurred_share = (!points.is_empty()).then(share);
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
     for format in &options.also {
         control.check()?;
@@ -277,6 +286,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         columns,
         measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
+        blurred_share: None,
         deviation: DeviationStatistics::of(sound.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(points),

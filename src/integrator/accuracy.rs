@@ -7,7 +7,7 @@ use super::plan::Plan;
 use super::samples::sampling_error;
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::sampling_deviation;
+use crate::speckle::theory::{defocus_noise, sampling_deviation};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{PI, TAU};
@@ -57,6 +57,8 @@ pub struct PilotPoint {
     pub speckle: f64,
     pub noise: f64,
     pub per_count: f64,
+    /// Diameter of the lens's blur there, px.
+    pub blur: f64,
     /// By what it differs in geometry alone; `None` if that has no such point.
     pub geometry: Option<f64>,
     /// By what it differs with 1 and with 2 × 2 samples a pixel.
@@ -82,6 +84,9 @@ pub struct Pilot {
 /// Of the scene's speckle.
 #[derive(Debug, Clone)]
 pub struct Grain {
+    pub aperture: Aperture,
+    /// Minimal speckle size h, px.
+    pub size: f64,
     pub contrast: f64,
     /// Standard deviation of what n × n samples miss of a pixel's mean, in units of the
     /// mean and for a contrast of 1, by n.
@@ -92,10 +97,13 @@ impl Grain {
     /// For plans with these numbers of samples; a pixel is `grains` wide.
     pub fn new(aperture: Aperture, grains: f64, contrast: f64, plans: &[Plan]) -> Grain {
         let counts: BTreeSet<u32> = plans.iter().map(|p| p.samples_per_side).collect();
+        let size = 1.0 / grains;
         // Past this many no affordable number of samples does.
         let grains = grains.min(16.0);
         let missed = |n: u32| (n, sampling_deviation(aperture, grains, n as usize));
         Grain {
+            aperture,
+            size,
             contrast,
             missed: counts.into_iter().map(missed).collect(),
         }
@@ -220,12 +228,45 @@ impl Pilot {
         })
     }
 
-    /// By how much more speckle would move heights were the line widened by a blur of
-    /// this standard deviation, px: as the root of its width (physics of
-    /// [`centroid_noise`](crate::speckle::theory::centroid_noise)).
-    pub fn widened(&self, blur: f64) -> Vec<HeightError> {
-        let factor = |sigma: f64| (1.0 + (blur / sigma).powi(2)).powf(0.25) - 1.0;
-        self.each(|p| HeightError::random(p.speckle * factor(p.sigma)))
+    /// By how much more speckle moves heights through a lens that is out of focus, which
+    /// images do not show ([`defocus_noise`]).
+    pub fn defocus(&self) -> Vec<HeightError> {
+        let Some(grain) = &self.grain else {
+            return self.each(|_| HeightError::random(0.0));
+        };
+        // It changes by a third over all widths of lines: one for each quarter of an octave.
+        let step = |p: &PilotPoint| (4.0 * (p.sigma / grain.size).log2()).round() as i32;
+        let pixel = (1.0 / grain.size).min(16.0);
+        let of_step = |step: i32| {
+            (
+                step,
+                defocus_noise(grain.aperture, pixel, (step as f64 / 4.0).exp2()),
+            )
+        };
+        let steps: BTreeSet<i32> = self.points.iter().map(step).collect();
+        let kappa: BTreeMap<i32, f64> = steps.into_iter().map(of_step).collect();
+        self.each(|p| {
+            let blurred = kappa[&step(p)] * p.blur * (grain.size / p.sigma).sqrt();
+            HeightError::random(p.speckle.hypot(grain.contrast * blurred) - p.speckle)
+        })
+    }
+
+    /// The same for the diffraction of the lens, of a Gaussian of 0.42 h as the core of
+    /// Airy's pattern has it: √(σ² + s²)/σ, as for a Gaussian pupil in one dimension, where
+    /// the covariance of the field follows from the line's and the pupil's.
+    pub fn diffraction(&self) -> Vec<HeightError> {
+        let core = self.grain.as_ref().map_or(0.0, |grain| 0.42 * grain.size);
+        self.each(|p| HeightError::random(p.speckle * ((core / p.sigma).hypot(1.0) - 1.0)))
+    }
+
+    /// Share of the points whose blur is wider than two standard deviations of their line.
+    pub fn blurred_share(&self) -> Option<f64> {
+        let blurred = self
+            .points
+            .iter()
+            .filter(|p| p.blur > 2.0 * p.sigma)
+            .count();
+        (!self.points.is_empty()).then(|| blurred as f64 / self.points.len() as f64)
     }
 
     /// Errors of a plan against the full model.

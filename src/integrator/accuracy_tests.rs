@@ -47,6 +47,7 @@ const POINT: PilotPoint = PilotPoint {
     speckle: 0.0,
     noise: 0.0,
     per_count: 0.0,
+    blur: 0.0,
     geometry: Some(0.0),
     coarse: [Some(0.0); 2],
 };

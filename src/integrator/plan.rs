@@ -10,7 +10,7 @@ use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::{centroid_noise, samples_across_pixel};
+use crate::speckle::theory::{centroid_noise, defocus_noise, samples_across_pixel};
 use serde::Serialize;
 
 /// What a frame of this scene needs. Each way of doing it is a value here.
@@ -35,6 +35,13 @@ pub struct Plan {
     /// Blur of the lens where the laser plane crosses the part, at its largest,
     /// pixels; not modelled.
     pub defocus_blur_px: f64,
+    /// Share of the line whose blur is wider than two standard deviations of its sharp
+    /// image: of places where the laser plane crosses the part, or with a tolerance of the
+    /// points of the frames that the plan looked at.
+    pub blurred_share: f64,
+    /// How many times as far speckle moves centroids under that blur as in sharp images, at
+    /// most; 1 without speckle.
+    pub defocus_noise_factor: f64,
     /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
     pub airy_radius_px: f64,
     /// Movement of the line's image for 1 mm along the beam, pixels per mm.
@@ -173,6 +180,12 @@ impl Plan {
             line_half_width_px: line.half_width_px,
             speckle_size_px,
             defocus_blur_px: line.defocus_blur_px,
+            blurred_share: line.blurred_share,
+            defocus_noise_factor: speckle.as_ref().map_or(1.0, |optics| {
+                let kappa = defocus_noise(optics.aperture, 0.0, sigma / speckle_size_px);
+                let added = kappa * line.defocus_blur_px * (speckle_size_px / sigma).sqrt();
+                (added / centroid_noise(speckle_size_px, sigma, 1.0)).hypot(1.0)
+            }),
             airy_radius_px,
             px_per_mm: line.px_per_mm,
             scheimpflug_tilt_deg: camera
@@ -222,11 +235,7 @@ impl Plan {
                 "defocus",
                 false,
                 "sharp image".into(),
-                format!(
-                    "blur of up to {:.1} px widens the line, {:.1} px wide; its centroid stays",
-                    self.defocus_blur_px,
-                    2.0 * self.line_half_width_px
-                ),
+                self.defocus_in_words(),
             ),
             effect(
                 "diffraction of the lens",
@@ -242,6 +251,20 @@ impl Plan {
             ),
             self.exposure_effect(exposure),
         ]
+    }
+
+    /// What defocus does, and to how many points; it is not modelled.
+    pub fn defocus_in_words(&self) -> String {
+        format!(
+            "blur of up to {:.1} px on a line {:.1} px wide: its centroid stays, speckle moves \
+             it up to {:.2} times as far as in these images, for which uncertainties are \
+             stated; {:.1} % of the points have a blur wider than two standard deviations of \
+             their line",
+            self.defocus_blur_px,
+            2.0 * self.line_half_width_px,
+            self.defocus_noise_factor,
+            100.0 * self.blurred_share
+        )
     }
 
     fn pixel_effect(&self, sigma: f64) -> Effect {
@@ -288,6 +311,7 @@ impl Plan {
 struct LineImage {
     half_width_px: f64,
     defocus_blur_px: f64,
+    blurred_share: f64,
     px_per_mm: f64,
     /// Largest 1/e² half width of the line itself, mm.
     widest: f64,
@@ -341,6 +365,7 @@ impl LineImage {
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
+            blurred_share: 0.0,
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
@@ -359,14 +384,19 @@ impl LineImage {
         if points.is_empty() {
             points.push(middle);
         }
+        let each = 1.0 / points.len() as f64;
         for p in points {
             let moved = |by: DVec3| {
                 let from = camera.project(camera_from_laser.point(p))?;
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
+            let blur = camera.defocus_blur(camera_from_laser.point(p));
+            let blur_px = blur.unwrap_or(0.0) / camera.sensor.pixel_pitch;
+            image.defocus_blur_px = image.defocus_blur_px.max(blur_px);
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
+                image.blurred_share += f64::from(blur_px > px) * each;
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);
@@ -374,10 +404,6 @@ impl LineImage {
             image.widest = image.widest.max(width);
             let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
             image.defocus = image.defocus.max(defocus.abs());
-            let blur = camera.defocus_blur(camera_from_laser.point(p));
-            image.defocus_blur_px = image
-                .defocus_blur_px
-                .max(blur.unwrap_or(0.0) / camera.sensor.pixel_pitch);
         }
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
