@@ -188,6 +188,18 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
     Ok(())
 }
 
+/// The points of all frames, and the share of them that the lens would blur widely.
+fn points_of(journal: &Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
+    let (mut points, mut blurred) = (Vec::new(), 0);
+    for record in journal.records()? {
+        points.extend(record.points);
+        blurred += record.blurred;
+    }
+    let share = || blurred as f64 / points.len() as f64;
+    let share = (!points.is_empty()).then(share);
+    Ok((points, share))
+}
+
 /// From the points of all frames to cloud, pictures, report and summary.
 fn finish(
     simulation: &Simulation,
@@ -198,11 +210,7 @@ fn finish(
     run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
     let scene = simulation.scene;
-    let (mut points, mut blurred) = (Vec::new(), 0);
-    for record in journal.records()? {
-        points.extend(record.points);
-        blurred += record.blurred;
-    }
+    let (mut points, blurred_share) = points_of(journal)?;
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses: Vec<HeadPose> = frames
@@ -228,8 +236,7 @@ fn finish(
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
-    let share = || blurred as f64 / points.len() as f64;
-    summary.blurred_share = (!points.is_empty()).then(share);
+    summary.blurred_share = blurred_share;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
     for format in &options.also {
         control.check()?;

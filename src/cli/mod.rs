@@ -21,6 +21,9 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static STOP: AtomicBool = AtomicBool::new(false);
+/// Whether the program may end at any moment: it is in others' code that hears nothing, and
+/// holds no half-written file.
+static AT_ONCE: AtomicBool = AtomicBool::new(false);
 
 #[derive(Parser)]
 #[command(
@@ -148,6 +151,14 @@ impl Output {
         bar.with_style(style.expect("the template is valid"))
     }
 
+    /// A line on stderr, unless the user wants it quiet.
+    #[cfg(feature = "race")]
+    fn say(&self, text: &str) {
+        if !self.quiet {
+            let _ = writeln!(std::io::stderr(), "{text}");
+        }
+    }
+
     /// The result on stdout: `value` as JSON, or `text`.
     fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
         let text = match self.json {
@@ -195,6 +206,11 @@ fn execute(cli: Cli) -> Result<()> {
         // The second time, at once.
         if STOP.swap(true, Ordering::Relaxed) {
             std::process::exit(75);
+        }
+        if AT_ONCE.load(Ordering::Relaxed) {
+            let error = Error::Interrupted;
+            let _ = writeln!(std::io::stderr(), "lasertrace: {error}");
+            std::process::exit(error.exit_code().into());
         }
     })
     .expect("no other handler is set");

@@ -7,7 +7,7 @@ use super::plan::Plan;
 use super::samples::sampling_error;
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::{defocus_noise, sampling_deviation};
+use crate::speckle::theory::sampling_deviation;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{PI, TAU};
@@ -127,7 +127,7 @@ impl Pilot {
     }
 
     /// Error of each point for one effect of a plan.
-    fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
+    pub(super) fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
         let in_um = |point: &PilotPoint| error(point).times(point.um_per_px);
         self.points.iter().map(in_um).collect()
     }
@@ -226,47 +226,6 @@ impl Pilot {
             HeightError::bias(Some(moment * p.sigma))
                 .and(HeightError::random(more * (speckle + noise).sqrt()))
         })
-    }
-
-    /// By how much more speckle moves heights through a lens that is out of focus, which
-    /// images do not show ([`defocus_noise`]).
-    pub fn defocus(&self) -> Vec<HeightError> {
-        let Some(grain) = &self.grain else {
-            return self.each(|_| HeightError::random(0.0));
-        };
-        // It changes by a third over all widths of lines: one for each quarter of an octave.
-        let step = |p: &PilotPoint| (4.0 * (p.sigma / grain.size).log2()).round() as i32;
-        let pixel = (1.0 / grain.size).min(16.0);
-        let of_step = |step: i32| {
-            (
-                step,
-                defocus_noise(grain.aperture, pixel, (step as f64 / 4.0).exp2()),
-            )
-        };
-        let steps: BTreeSet<i32> = self.points.iter().map(step).collect();
-        let kappa: BTreeMap<i32, f64> = steps.into_iter().map(of_step).collect();
-        self.each(|p| {
-            let blurred = kappa[&step(p)] * p.blur * (grain.size / p.sigma).sqrt();
-            HeightError::random(p.speckle.hypot(grain.contrast * blurred) - p.speckle)
-        })
-    }
-
-    /// The same for the diffraction of the lens, of a Gaussian of 0.42 h as the core of
-    /// Airy's pattern has it: √(σ² + s²)/σ, as for a Gaussian pupil in one dimension, where
-    /// the covariance of the field follows from the line's and the pupil's.
-    pub fn diffraction(&self) -> Vec<HeightError> {
-        let core = self.grain.as_ref().map_or(0.0, |grain| 0.42 * grain.size);
-        self.each(|p| HeightError::random(p.speckle * ((core / p.sigma).hypot(1.0) - 1.0)))
-    }
-
-    /// Share of the points whose blur is wider than two standard deviations of their line.
-    pub fn blurred_share(&self) -> Option<f64> {
-        let blurred = self
-            .points
-            .iter()
-            .filter(|p| p.blur > 2.0 * p.sigma)
-            .count();
-        (!self.points.is_empty()).then(|| blurred as f64 / self.points.len() as f64)
     }
 
     /// Errors of a plan against the full model.

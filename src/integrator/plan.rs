@@ -4,13 +4,14 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::defocus::noise_factor;
 use super::samples::sampling_error;
 use crate::camera::Camera;
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::{centroid_noise, defocus_noise, samples_across_pixel};
+use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use serde::Serialize;
 
 /// What a frame of this scene needs. Each way of doing it is a value here.
@@ -35,9 +36,8 @@ pub struct Plan {
     /// Blur of the lens where the laser plane crosses the part, at its largest,
     /// pixels; not modelled.
     pub defocus_blur_px: f64,
-    /// Share of the line whose blur is wider than two standard deviations of its sharp
-    /// image: of places where the laser plane crosses the part, or with a tolerance of the
-    /// points of the frames that the plan looked at.
+    /// Share whose blur is wider than two standard deviations of the line: of the points of
+    /// the frames the plan looked at, without a tolerance of places of the laser plane.
     pub blurred_share: f64,
     /// How many times as far speckle moves centroids under that blur as in sharp images, at
     /// most; 1 without speckle.
@@ -181,11 +181,12 @@ impl Plan {
             speckle_size_px,
             defocus_blur_px: line.defocus_blur_px,
             blurred_share: line.blurred_share,
-            defocus_noise_factor: speckle.as_ref().map_or(1.0, |optics| {
-                let kappa = defocus_noise(optics.aperture, 0.0, sigma / speckle_size_px);
-                let added = kappa * line.defocus_blur_px * (speckle_size_px / sigma).sqrt();
-                (added / centroid_noise(speckle_size_px, sigma, 1.0)).hypot(1.0)
-            }),
+            defocus_noise_factor: noise_factor(
+                speckle.as_ref(),
+                speckle_size_px,
+                sigma,
+                line.defocus_blur_px,
+            ),
             airy_radius_px,
             px_per_mm: line.px_per_mm,
             scheimpflug_tilt_deg: camera
@@ -231,12 +232,7 @@ impl Plan {
                     )
                 ),
             ),
-            effect(
-                "defocus",
-                false,
-                "sharp image".into(),
-                self.defocus_in_words(),
-            ),
+            self.defocus_effect(),
             effect(
                 "diffraction of the lens",
                 false,
@@ -251,20 +247,6 @@ impl Plan {
             ),
             self.exposure_effect(exposure),
         ]
-    }
-
-    /// What defocus does, and to how many points; it is not modelled.
-    pub fn defocus_in_words(&self) -> String {
-        format!(
-            "blur of up to {:.1} px on a line {:.1} px wide: its centroid stays, speckle moves \
-             it up to {:.2} times as far as in these images, for which uncertainties are \
-             stated; {:.1} % of the points have a blur wider than two standard deviations of \
-             their line",
-            self.defocus_blur_px,
-            2.0 * self.line_half_width_px,
-            self.defocus_noise_factor,
-            100.0 * self.blurred_share
-        )
     }
 
     fn pixel_effect(&self, sigma: f64) -> Effect {
