@@ -142,6 +142,13 @@ impl Simulation<'_> {
         Some((jacobian.point, covariance))
     }
 
+    /// Diameter of the lens's blur, which images do not have, at a peak's point, px.
+    pub(super) fn defocus_blur_px(&self, peak: &Peak) -> Option<f64> {
+        let camera = &self.scene.camera;
+        let blur = camera.defocus_blur(self.calibration.point(peak)?)?;
+        Some(blur / camera.sensor.pixel_pitch)
+    }
+
     /// What a peak's point may be off where the wall it lies on catches a part of the light
     /// only, covariance in the head's frame, mm²: as far off the sheet as the light is
     /// on average, a standard deviation of w/2, and seen along the same ray; and off the

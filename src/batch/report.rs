@@ -111,6 +111,17 @@ impl Shown<'_> {
                 format!("{} of 100", short(self.summary.measured_share * 100.0)),
             ),
             (
+                "points out of focus",
+                match self.summary.blurred_share {
+                    None => "no points".into(),
+                    Some(share) => format!(
+                        "{} % have a blur wider than two standard deviations of their line; \
+                         it is not modelled",
+                        short(share * 100.0)
+                    ),
+                },
+            ),
+            (
                 "1 px along the beam",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),

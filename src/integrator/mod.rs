@@ -4,6 +4,7 @@ pub mod accuracy;
 mod bend;
 mod cost;
 mod cutoff;
+mod defocus;
 mod direct;
 mod footprint;
 mod geometric;

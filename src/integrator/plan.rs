@@ -4,8 +4,9 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
-use super::in_view::Optics;
+use super::defocus::noise_factor;
 use super::grain_extent::GrainExtent;
+use super::in_view::Optics;
 use super::samples::sampling_error;
 use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
@@ -36,6 +37,12 @@ pub struct Plan {
     /// Blur of the lens where the laser plane crosses the part, at its largest,
     /// pixels; not modelled.
     pub defocus_blur_px: f64,
+    /// Share whose blur is wider than two standard deviations of the line: of the points of
+    /// the frames the plan looked at, without a tolerance of places of the laser plane.
+    pub blurred_share: f64,
+    /// How many times as far speckle moves centroids under that blur as in sharp images, at
+    /// most; 1 without speckle.
+    pub defocus_noise_factor: f64,
     /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
     pub airy_radius_px: f64,
     /// Movement of the line's image for 1 mm along the beam, pixels per mm.
@@ -178,6 +185,13 @@ impl Plan {
             line_half_width_px: line.half_width_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
+            blurred_share: line.blurred_share,
+            defocus_noise_factor: noise_factor(
+                speckle.as_ref(),
+                line.grain.speckle_extent_px[1],
+                sigma,
+                line.defocus_blur_px,
+            ),
             airy_radius_px,
             px_per_mm: line.px_per_mm,
             scheimpflug_tilt_deg: camera
@@ -223,16 +237,7 @@ impl Plan {
                     )
                 ),
             ),
-            effect(
-                "defocus",
-                false,
-                "sharp image".into(),
-                format!(
-                    "blur of up to {:.1} px widens the line, {:.1} px wide; its centroid stays",
-                    self.defocus_blur_px,
-                    2.0 * self.line_half_width_px
-                ),
-            ),
+            self.defocus_effect(),
             effect(
                 "diffraction of the lens",
                 false,
@@ -293,6 +298,7 @@ impl Plan {
 struct LineImage {
     half_width_px: f64,
     defocus_blur_px: f64,
+    blurred_share: f64,
     px_per_mm: f64,
     /// Largest 1/e² half width of the line itself, mm.
     widest: f64,
@@ -343,12 +349,14 @@ impl LineImage {
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
+            blurred_share: 0.0,
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
             grain: GrainExtent::NONE,
         };
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
+        let each = 1.0 / places.len().max(1) as f64;
         for &p in places {
             let moved = |by: DVec3| {
                 let from = camera.project(camera_from_laser.point(p))?;
@@ -358,8 +366,12 @@ impl LineImage {
             if let Some(pixel) = camera.project(camera_from_laser.point(p)) {
                 image.grain = image.grain.with(grains(pixel));
             }
+            let blur = camera.defocus_blur(camera_from_laser.point(p));
+            let blur_px = blur.unwrap_or(0.0) / camera.sensor.pixel_pitch;
+            image.defocus_blur_px = image.defocus_blur_px.max(blur_px);
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
+                image.blurred_share += f64::from(blur_px > px) * each;
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);
@@ -367,17 +379,15 @@ impl LineImage {
             image.widest = image.widest.max(width);
             let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
             image.defocus = image.defocus.max(defocus.abs());
-            let blur = camera.defocus_blur(camera_from_laser.point(p));
-            image.defocus_blur_px = image
-                .defocus_blur_px
-                .max(blur.unwrap_or(0.0) / camera.sensor.pixel_pitch);
         }
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
             image.px_per_mm = 1.0;
         }
         if image.grain == GrainExtent::NONE {
-            image.grain = image.grain.with(grains(camera.sensor.resolution.as_dvec2() / 2.0));
+            image.grain = image
+                .grain
+                .with(grains(camera.sensor.resolution.as_dvec2() / 2.0));
         }
         image
     }
