@@ -163,11 +163,14 @@ fn over(
 ) -> Covariances {
     let mut sums = [[0.0; LAGS + 1]; 2];
     let count = (window[0].len() * window[1].len()) as f64;
-    for row in window[1].clone() {
-        for column in window[0].clone() {
-            for lag in 0..=LAGS {
-                sums[0][lag] += of([column, row], [column + lag, row]) / count;
-                sums[1][lag] += of([column, row], [column, row + lag]) / count;
+    for (axis, sums) in sums.iter_mut().enumerate() {
+        for (lag, sum) in sums.iter_mut().enumerate() {
+            for row in window[1].clone() {
+                for column in window[0].clone() {
+                    let mut other = [column, row];
+                    other[axis] += lag;
+                    *sum += of([column, row], other) / count;
+                }
             }
         }
     }
