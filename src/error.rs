@@ -27,8 +27,11 @@ pub struct InputError {
     pub place: Place,
     /// Dotted key in a scene file (`camera.f_number`); `None` in a mesh.
     pub key: Option<String>,
+    /// Empty: a key that must be there is not.
     pub found: String,
     pub expected: String,
+    /// What was probably meant.
+    pub hint: Option<String>,
 }
 
 impl InputError {
@@ -45,6 +48,7 @@ impl InputError {
             key: None,
             found: found.into(),
             expected: expected.into(),
+            hint: None,
         }
     }
 }
@@ -60,8 +64,15 @@ impl fmt::Display for InputError {
         if let Some(key) = &self.key {
             write!(f, ": {}", short(key))?;
         }
-        let (found, expected) = (short(&self.found), short(&self.expected));
-        write!(f, ": found {found}, expected {expected}")
+        match self.found.as_str() {
+            "" => write!(f, " is missing")?,
+            found => write!(f, ": found {}", short(found))?,
+        }
+        write!(f, ", expected {}", short(&self.expected))?;
+        match &self.hint {
+            Some(hint) => write!(f, "; {}", short(hint)),
+            None => Ok(()),
+        }
     }
 }
 
@@ -102,11 +113,11 @@ pub enum Error {
     /// Another run writes to this folder.
     #[error("another run is writing to {}; wait for its end or choose another folder", path(.0))]
     Busy(PathBuf),
+    /// What warns of a worthless result is to be an error.
+    #[error("{}", .0.join(" "))]
+    Warned(Vec<String>),
     /// The user stopped the run.
-    #[error(
-        "interrupted; run the same command again to complete (with scan --resume the \
-         finished frames stay)"
-    )]
+    #[error("interrupted before the end")]
     Interrupted,
 }
 
@@ -133,7 +144,7 @@ impl Error {
         use std::io::ErrorKind::{FileTooLarge, OutOfMemory, QuotaExceeded, StorageFull};
         match self {
             Error::Usage(_) => 64,
-            Error::Input(_) => 65,
+            Error::Input(_) | Error::Warned(_) => 65,
             Error::Embree(_) => 70,
             Error::Io { source, .. } => match source.kind() {
                 StorageFull | QuotaExceeded | FileTooLarge | OutOfMemory => 75,

@@ -7,7 +7,7 @@
 mod program;
 mod random;
 
-use lasertrace::batch::{Control, Coverage, ScanOptions, forecast, scan};
+use lasertrace::batch::{Control, Coverage, ScanOptions, check, scan};
 use lasertrace::scene::Scene;
 use peak_alloc::PeakAlloc;
 use program::{PLANE, folder_with, scene as text};
@@ -58,13 +58,14 @@ fn a_scan_takes_what_was_foretold() {
             building: None,
             stop: &AtomicBool::new(false),
         };
-        let told = forecast(&scene, &control).unwrap();
+        let told = check(&scene, &control).unwrap().forecast;
         assert!(told.fits() && told.seconds > 0.0);
         let options = ScanOptions {
             coverage: Coverage::Footprint,
             frames: None,
             resume: false,
             geometry_only: false,
+            strict: false,
             also: Vec::new(),
         };
         let out = folder.path().join("out");

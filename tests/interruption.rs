@@ -224,14 +224,14 @@ fn interrupt(folder: &Path, name: &str) -> Output {
 }
 
 #[test]
-fn interrupted_or_terminated_it_says_to_run_again() {
+fn interrupted_or_terminated_it_says_how_to_go_on() {
     for name in ["-INT", "-TERM"] {
         let folder = folder_with(&many_frames(1_000_000));
         let output = interrupt(folder.path(), name);
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(75), "{name}: {stderr}");
         assert!(
-            stderr.contains("run the same command again"),
+            stderr.contains("run the same command with --resume to go on"),
             "{name}: {stderr}"
         );
         let left = files(&folder.path().join("out"));
@@ -300,6 +300,7 @@ fn a_stop_in_the_report_is_heard() {
             stop: &stop,
         };
         let options = ScanOptions {
+            strict: false,
             coverage: Coverage::Footprint,
             frames: None,
             resume,

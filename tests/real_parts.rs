@@ -261,6 +261,7 @@ fn scan_part(file: &Path, unit: &str, unit_mm: f64, rotation_deg: [f64; 3]) -> F
     scan(
         &scene,
         &ScanOptions {
+            strict: false,
             coverage: Coverage::Footprint,
             frames: None,
             resume: false,

@@ -2,7 +2,7 @@
 
 use super::frames::FrameContent;
 use super::pilot::spread_frames;
-use super::{Control, Coverage};
+use super::{Control, Simulation};
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
@@ -57,20 +57,20 @@ impl Forecast {
     }
 }
 
-/// Foretells a scan from three frames spread over it, which are taken for that.
-///
-/// # Errors
-/// [`crate::error::Error::Memory`] if not even one frame fits; `control`'s.
-pub fn forecast(scene: &Scene, control: &Control) -> Result<Forecast> {
-    let start = Instant::now();
-    let simulation = Coverage::Footprint.simulation(scene, control)?;
-    let preparing = start.elapsed().as_secs_f64();
+/// Foretells a scan from three frames spread over it, which are taken for that by a
+/// simulation that took `preparing` seconds to make.
+pub(super) fn forecast_of(
+    simulation: &Simulation,
+    preparing: f64,
+    control: &Control,
+) -> Result<Forecast> {
+    let scene = simulation.scene;
     let taken = spread_frames(scene.scan.frames, FRAMES);
     let start = Instant::now();
     let (mut points, mut bytes) = (0, 0);
     for &frame in &taken {
         control.check()?;
-        let content = FrameContent::of(&simulation, frame);
+        let content = FrameContent::of(simulation, frame);
         points += content.points.len() as u64;
         bytes += content
             .files

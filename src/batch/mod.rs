@@ -4,6 +4,7 @@
 mod bench_bvh;
 mod calibrate;
 mod chart;
+mod check;
 mod files;
 mod forecast;
 mod frames;
@@ -15,6 +16,7 @@ mod peak_image;
 mod peaks;
 mod pilot;
 mod planner;
+mod reason;
 mod render;
 mod report;
 mod scan;
@@ -23,16 +25,19 @@ mod search;
 mod simulation;
 mod speckle;
 mod surface_view;
+mod survey;
 mod synthetic;
 mod tiers;
 mod uncertainty;
+mod warnings;
 mod wave;
 
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
-pub use forecast::{Forecast, forecast};
+pub use check::{Checked, MeasuringRange, check};
+pub use forecast::Forecast;
 pub use height_errors::HeightErrors;
 pub use kept::{Kept, keeps_word};
 pub use peak_image::{
@@ -40,11 +45,13 @@ pub use peak_image::{
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
 pub use planner::scene_plan;
+pub use reason::{Reason, Warning};
 pub use render::{RenderSummary, render};
 pub use scan::{ScanOptions, ScanSummary, scan};
 pub use simulation::{Simulation, part_in_view};
 pub use speckle::{Grain, SpeckleSummary, speckle};
 pub use uncertainty::{MonteCarlo, monte_carlo};
+pub use warnings::refuse;
 pub use wave::{
     ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,
     wave_patch, wave_reference,

@@ -59,7 +59,10 @@ impl Shown<'_> {
     pub fn report(self, control: &Control) -> Result<Report> {
         let plan = &self.simulation.plan;
         let limits = Limits::of(self.points);
-        let maps = self.maps(&limits, control)?;
+        let maps = match self.summary.deviation {
+            Some(_) => self.maps(&limits, control)?,
+            None => Vec::new(),
+        };
         Ok(Report {
             title: "Laser-triangulation scan".into(),
             lead: self.lead(),
@@ -67,7 +70,10 @@ impl Shown<'_> {
             viewer: Some(self.viewer(&limits)),
             maps,
             statistics: self.summary.deviation.clone(),
-            histograms: self.histograms(&limits),
+            histograms: match self.summary.deviation {
+                Some(_) => self.histograms(&limits),
+                None => Vec::new(),
+            },
             flags: count_flags(self.points),
             setup: self.setup(),
             frames: match self.images {
@@ -107,8 +113,8 @@ impl Shown<'_> {
                 ),
             ),
             (
-                "columns with a point",
-                format!("{} of 100", short(self.summary.measured_share * 100.0)),
+                "sensor columns with a point",
+                format!("{} %", short(self.summary.measured_share * 100.0)),
             ),
             (
                 "points out of focus",
@@ -122,7 +128,7 @@ impl Shown<'_> {
                 },
             ),
             (
-                "1 px along the beam",
+                "height of 1 px",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
             ("speckle size", plan.grain.to_string()),
@@ -137,7 +143,7 @@ impl Shown<'_> {
             color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
                 diverging(d, limits.deviation_um)
             }),
-            "Red: outside the material. Blue: inside. Sound points.",
+            "Red: outside the material. Blue: inside. Valid points only.",
             &views,
             &|p| diverging(p.deviation * 1e3, limits.deviation_um),
             &|p| p.is_sound(),
@@ -149,7 +155,7 @@ impl Shown<'_> {
                 sequential(s, limits.sigma_um)
             }),
             "Predicted for each point from speckle, noise and calibration; not stated for \
-             those flagged outside. Sound points.",
+             those flagged outside. Valid points only.",
             &views[..2],
             &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
             &|p| p.is_sound(),
@@ -163,12 +169,18 @@ impl Shown<'_> {
     }
 
     fn lead(&self) -> String {
+        let warnings = self.summary.warnings.iter().map(|w| w.message.as_str());
+        let warnings = warnings.collect::<Vec<_>>().join(" ");
         let Some(d) = &self.summary.deviation else {
-            return "No point was measured: no line was found in any frame.".into();
+            return warnings;
+        };
+        let warnings = match warnings.as_str() {
+            "" => String::new(),
+            warnings => format!(" Warning: {warnings}"),
         };
         format!(
-            "{} sound points of {}. They lie {} ± {} µm from the CAD (mean and standard \
-             deviation); 98 of 100 within {} to {} µm.",
+            "{} of {} points are valid. Their deviation from the CAD is {} ± {} µm (mean and \
+             standard deviation); 98 % of them are between {} and {} µm.{warnings}",
             d.points,
             self.points.len(),
             short(d.mean_um),
@@ -255,7 +267,7 @@ impl Shown<'_> {
             colors: shown.iter().map(|p| color(p)).collect(),
         };
         let (d, s) = (limits.deviation_um, limits.sigma_um);
-        let mut layers = vec![Layer {
+        let cloud = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
             modes: vec![
                 mode(
@@ -270,17 +282,16 @@ impl Shown<'_> {
                 ),
                 mode(
                     "flags",
-                    "Doubtful points (with a flag other than outside) in magenta, others in grey-blue.".into(),
+                    "Valid points grey-blue; points with a flag other than \"outside\" magenta."
+                        .into(),
                     &|p| {
-                        if p.is_sound() {
-                            UNFLAGGED
-                        } else {
-                            FLAGGED
-                        }
+                        if p.is_sound() { UNFLAGGED } else { FLAGGED }
                     },
                 ),
             ],
-        }];
+        };
+        let any = self.summary.deviation.is_some();
+        let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
         layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {
             positions: coverage.places.iter().map(|(p, _)| *p).collect(),
             modes: vec![Mode {

@@ -3,7 +3,9 @@
 
 use super::frames::Run;
 use super::journal::{Journal, RunKey};
+use super::reason::Warning;
 use super::report::Shown;
+use super::warnings::{self, Foreseen};
 use super::{Control, Coverage, Simulation, files, forecast};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
@@ -38,7 +40,7 @@ pub struct ScanSummary {
     /// Share of the points at which the lens's blur, which images do not have, is wider than
     /// two standard deviations of their line; `null` if there is none.
     pub blurred_share: Option<f64>,
-    /// Of sound points ([`CloudPoint::is_sound`]); `null` if there is none.
+    /// Of valid points ([`CloudPoint::is_sound`]); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
     pub deviation_of_all: Option<DeviationStatistics>,
@@ -51,6 +53,8 @@ pub struct ScanSummary {
     /// What was planned for the scene's tolerance, if it states one.
     pub accuracy: Option<Accuracy>,
     pub coverage: Option<SurfaceCoverage>,
+    /// What spoils the scan; empty for a good one.
+    pub warnings: Vec<Warning>,
     pub cloud: PathBuf,
     pub report: PathBuf,
     /// The frame shown in the report, if one was taken, and the cloud over the part.
@@ -86,6 +90,8 @@ pub struct ScanOptions {
     pub resume: bool,
     /// No images: profiles from laser rays and what the camera sees of them.
     pub geometry_only: bool,
+    /// A scan that cannot give anything worth having is an error, before it starts.
+    pub strict: bool,
     /// Forms of the cloud and the profiles beside PLY and CSV.
     pub also: Vec<Format>,
 }
@@ -116,6 +122,7 @@ pub fn scan(
         frames: frames.clone(),
         geometry_only: options.geometry_only,
     };
+    refuse_worthless(scene, options, &frames, control)?;
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
@@ -159,7 +166,25 @@ pub fn scan(
         seconds_report: measured.elapsed().as_secs_f64(),
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
+    warnings::refuse(&summary.warnings, options.strict)?;
     Ok(summary)
+}
+
+/// Refuses, if the scan is strict, one that will give nothing worth having, while what
+/// an earlier run left is still there.
+fn refuse_worthless(
+    scene: &Scene,
+    options: &ScanOptions,
+    frames: &Range<u32>,
+    control: &Control,
+) -> Result<()> {
+    if !options.strict {
+        return Ok(());
+    }
+    let accel = control.hierarchy(scene)?;
+    let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
+    let Foreseen { warnings, .. } = warnings::foreseen(scene, &accel, frames.clone(), images);
+    warnings::refuse(&warnings, true)
 }
 
 /// Makes the folders for profiles and frames, free of an earlier run's files if this
@@ -235,6 +260,10 @@ fn finish(
     });
     control.check()?;
     let mut summary = summary(scene, frames, &points, out);
+    let images = !simulation.plan.geometry_only;
+    let Foreseen { warnings, .. } =
+        warnings::foreseen(scene, &simulation.accel, frames.clone(), images);
+    summary.warnings = warnings::found(&points, frames.len(), &warnings);
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
@@ -250,7 +279,7 @@ fn finish(
         points: &points,
         frames: frames.clone(),
         poses: &poses,
-        images: !simulation.plan.geometry_only,
+        images,
         summary: &summary,
         run,
     };
@@ -303,6 +332,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         alignment: None,
         accuracy: None,
         coverage: None,
+        warnings: Vec::new(),
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),
         pictures: Vec::new(),

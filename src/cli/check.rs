@@ -1,10 +1,13 @@
-use super::{Output, STOP, SceneArguments, show};
-use crate::batch::{self, Control, Forecast};
+use super::{Output, STOP, SceneArguments, show, warning_lines};
+use crate::batch::{self, Checked, Control, Forecast};
+use crate::camera::Camera;
 use crate::error::Result;
 use crate::inspect::chart::short;
 use crate::integrator::Plan;
+use crate::integrator::plan::Effect;
+use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
-use crate::scene::Scene;
+use crate::scene::{Motion, Moves, Scene};
 use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
 use std::fmt::Write;
@@ -14,15 +17,17 @@ use std::time::Duration;
 pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
+    /// Exit with code 65 if there are warnings
+    #[arg(long)]
+    strict: bool,
 }
 
 #[derive(Serialize)]
 struct Check<'a> {
     scene: &'a Scene,
     mesh: MeshReport,
-    plan: Plan,
-    /// Of the whole scan.
-    forecast: Forecast,
+    #[serde(flatten)]
+    checked: Checked,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -35,71 +40,189 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let check = Check {
         mesh: mesh::report(&scene.mesh),
-        plan: batch::scene_plan(&scene)?,
-        forecast: batch::forecast(&scene, &control)?,
+        checked: batch::check(&scene, &control)?,
         scene: &scene,
     };
+    batch::refuse(&check.checked.warnings, arguments.strict)?;
     output.result(&check, &text(&check))
 }
 
+/// A page to read; all numbers are in the JSON.
 fn text(check: &Check) -> String {
-    let resolved = serde_json::to_string_pretty(check.scene).expect("a scene is JSON");
-    let mut text = format!("scene\n{resolved}\n\nmesh\n{}", check.mesh);
-    if check.scene.copies.len() > 1 {
-        let size = check.scene.bounds().size();
-        let _ = write!(
-            text,
-            "\ncopies              {}, together in a box of {} × {} × {} mm",
-            check.scene.copies.len(),
-            short(size.x),
-            short(size.y),
-            short(size.z)
-        );
+    let Check {
+        scene,
+        mesh,
+        checked,
+    } = check;
+    let mut text = format!("{}\n\n", scene.path.display());
+    text += &match checked.warnings.as_slice() {
+        [] => "No warnings: the sensor measures the part on this path.\n".to_owned(),
+        warnings => warning_lines(warnings),
+    };
+    let _ = write!(text, "\nPart\n{}", part(scene, mesh));
+    let _ = write!(text, "\nSensor\n{}", sensor(scene, checked));
+    let _ = write!(text, "\nScan\n{}", path(scene));
+    let _ = write!(
+        text,
+        "\nThe whole scan, about\n{}",
+        whole_scan(&checked.forecast)
+    );
+    text.push_str("\nWhat is simulated\n");
+    for effect in &checked.plan.effects {
+        text += &effect_lines(effect);
     }
-    text.push_str("\n\nplan\n");
-    for effect in &check.plan.effects {
-        let modelled = if effect.modelled {
-            "modelled"
-        } else {
-            "left out"
-        };
-        let numbers = match (effect.influence_um, effect.cost_ms) {
-            (None, None) => String::new(),
-            (um, ms) => format!(
-                " [{}{}]",
-                um.map_or("moves heights by an unknown way".into(), |um| format!(
-                    "moves heights by {} µm",
-                    short(um)
-                )),
-                ms.map_or(String::new(), |ms| format!(", costs {} ms", short(ms)))
+    if let Some(accuracy) = &checked.plan.accuracy {
+        text += &line(
+            "accuracy",
+            &format!(
+                "tolerance {} µm: {}; {} ms a frame on one core",
+                accuracy.tolerance_um,
+                accuracy.statement,
+                short(accuracy.cost_ms)
             ),
-        };
-        let _ = writeln!(
-            text,
-            "  {:<32} {modelled:<9} {}: {}{numbers}",
-            effect.effect, effect.method, effect.why
         );
     }
-    if let Some(accuracy) = &check.plan.accuracy {
-        let _ = writeln!(
-            text,
-            "\naccuracy, tolerance {} µm: {}; {} ms a frame on one core",
-            accuracy.tolerance_um,
-            accuracy.statement,
-            short(accuracy.cost_ms)
-        );
+    text + &scheimpflug(&checked.plan)
+}
+
+fn line(name: &str, value: &str) -> String {
+    format!("  {name:<18}{value}\n")
+}
+
+fn part(scene: &Scene, mesh: &MeshReport) -> String {
+    let mut text = String::new();
+    for row in mesh.to_string().lines() {
+        let _ = writeln!(text, "  {row}");
     }
-    if let (Some([x, y]), Some(distance)) = (
-        check.plan.scheimpflug_tilt_deg,
-        check.plan.laser_plane_distance_mm,
-    ) {
-        let _ = writeln!(
-            text,
-            "\nthe laser plane is in focus with camera.tilt_deg = [{x:.4}, {y:.4}] and \
-             camera.focus_distance_mm = {distance:.3}"
-        );
+    if let Some(unit) = scene.mesh_unit {
+        text += &line("unit of the file", &unit.to_string());
     }
-    text + &whole_scan(&check.forecast)
+    if scene.copies.len() > 1 {
+        let size = scene.bounds().size();
+        let [x, y, z] = size.to_array().map(short);
+        let copies = scene.copies.len();
+        text += &line("copies", &format!("{copies}, together {x} × {y} × {z} mm"));
+    }
+    text + &line("reflectance", &short(scene.surface.reflectance))
+}
+
+fn sensor(scene: &Scene, checked: &Checked) -> String {
+    let Camera { sensor, lens, .. } = &scene.camera;
+    let beam = &scene.laser.beam;
+    let shape = match &scene.laser.fan {
+        None => "a point".to_owned(),
+        Some(fan) => format!(
+            "a line of {}°, {}",
+            short(fan.angle.to_degrees()),
+            match fan.profile {
+                FanProfile::Uniform => "uniform",
+                FanProfile::Gaussian => "Gaussian",
+            }
+        ),
+    };
+    let laser = format!(
+        "{} nm, {} mW, {shape}; waist of {} µm (1/e² radius) at {} mm",
+        short(beam.wavelength * 1e6),
+        short(beam.power_mw),
+        short(beam.waist_radius * 1e3),
+        short(beam.waist_distance)
+    );
+    let camera = format!(
+        "{} × {} pixels of {} µm; {} mm f/{}, focused at {} mm; exposure {} ms",
+        sensor.resolution.x,
+        sensor.resolution.y,
+        short(sensor.pixel_pitch * 1e3),
+        short(lens.focal_length),
+        short(lens.f_number),
+        short(lens.focus_distance),
+        short(sensor.exposure_ms)
+    );
+    let range = match &checked.measuring_range {
+        None => "none: the camera sees nothing of the laser's light".to_owned(),
+        Some(range) => format!(
+            "{} to {} mm from the laser along the beam, {} mm wide in its middle",
+            short(range.near_mm),
+            short(range.far_mm),
+            short(range.width_mm)
+        ),
+    };
+    let plan = &checked.plan;
+    line("laser", &laser)
+        + &line("camera", &camera)
+        + &line("measuring range", &range)
+        + &line(
+            "height of 1 px",
+            &format!("{} µm", short(1e3 / plan.px_per_mm)),
+        )
+        + &line(
+            "laser line",
+            &format!(
+                "{} px wide (1/e²) in the image; speckle grain {} px",
+                short(2.0 * plan.line_half_width_px),
+                short(plan.speckle_size_px)
+            ),
+        )
+}
+
+fn path(scene: &Scene) -> String {
+    let scan = &scene.scan;
+    let mover = match scan.moves {
+        Moves::Head => "the sensor",
+        Moves::Part => "the part",
+    };
+    let path = match &scan.motion {
+        Motion::Linear { step } => {
+            let step = step.length();
+            let way = step * f64::from(scan.frames - 1);
+            let (step, way) = (short(step), short(way));
+            format!("{mover} moves {step} mm from frame to frame, {way} mm in all")
+        }
+        Motion::Rotary { step_deg, .. } => {
+            format!("{mover} turns by {}° from frame to frame", short(*step_deg))
+        }
+        Motion::Poses { file, .. } => format!("{mover} follows {}", file.display()),
+    };
+    line("frames", &scan.frames.to_string())
+        + &line("path", &path)
+        + &line("seed", &scene.seed.to_string())
+}
+
+fn effect_lines(effect: &Effect) -> String {
+    let modelled = match effect.modelled {
+        true => "simulated",
+        false => "left out",
+    };
+    let moves = effect
+        .influence_um
+        .map(|um| format!("moves heights by {} µm", short(um)));
+    let unknown = effect
+        .cost_ms
+        .map(|_| "moves heights by an unknown amount".to_owned());
+    let cost = effect
+        .cost_ms
+        .map(|ms| format!("takes {} ms a frame", short(ms)));
+    let numbers: Vec<String> = moves.or(unknown).into_iter().chain(cost).collect();
+    let numbers = match numbers.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", numbers.join(", ")),
+    };
+    format!(
+        "  {:<32}{modelled:<11}{}{numbers}\n{:>45}{}\n",
+        effect.effect, effect.method, "", effect.why
+    )
+}
+
+fn scheimpflug(plan: &Plan) -> String {
+    let (Some([x, y]), Some(distance)) = (plan.scheimpflug_tilt_deg, plan.laser_plane_distance_mm)
+    else {
+        return String::new();
+    };
+    // A tilt of rounding's size is none.
+    let [x, y] = [x, y].map(|tilt| if tilt.abs() < 5e-5 { 0.0 } else { tilt });
+    format!(
+        "\nTo have the whole laser plane in focus: camera.tilt_deg = [{x:.4}, {y:.4}] and \
+         camera.focus_distance_mm = {distance:.3}\n"
+    )
 }
 
 /// What the whole scan takes.
@@ -112,12 +235,8 @@ fn whole_scan(forecast: &Forecast) -> String {
     };
     let time =
         HumanDuration(Duration::try_from_secs_f64(forecast.seconds).unwrap_or(Duration::MAX));
-    format!(
-        "\n\nthe whole scan, about\n  frames              {}\n  memory              {}{free}\n  \
-         disk                {}\n  time                {time} with threads: {}",
-        forecast.frames,
-        bytes(forecast.memory_bytes),
-        bytes(forecast.disk_bytes),
-        forecast.threads
-    )
+    let time = format!("{time} with threads: {}", forecast.threads);
+    line("memory", &format!("{}{free}", bytes(forecast.memory_bytes)))
+        + &line("disk", &bytes(forecast.disk_bytes))
+        + &line("time", &time)
 }

@@ -4,6 +4,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
+mod complaint;
 mod manual;
 mod peaks;
 mod render;
@@ -32,7 +33,8 @@ static STOP: AtomicBool = AtomicBool::new(false);
     version = version(),
     about,
     after_help = "Exit codes: 0 done, 64 usage, 65 bad input data or scene, \
-    70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again."
+    70 internal, 74 input/output, 75 temporary (disk or memory full, interrupted): run again,\n\
+    a scan with --resume."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -43,7 +45,7 @@ struct Cli {
     /// No progress bar
     #[arg(long, global = true)]
     quiet: bool,
-    /// Print one JSON object on stdout instead of text
+    /// Print one JSON object on stdout instead of text, for errors too
     #[arg(long, global = true)]
     json: bool,
 }
@@ -188,6 +190,12 @@ impl Output {
     }
 }
 
+/// Each warning as a line.
+fn warning_lines(warnings: &[crate::batch::Warning]) -> String {
+    let line = |warning: &crate::batch::Warning| format!("warning: {}\n", warning.message);
+    warnings.iter().map(line).collect()
+}
+
 /// Draws a share from 0 to 1; at 1 the bar goes.
 fn show(bar: &ProgressBar, share: f64) {
     bar.set_position((1e3 * share) as u64);
@@ -203,7 +211,8 @@ pub fn run() -> u8 {
         Err(error) if error.use_stderr() => {
             // The same mistake of arguments that may be shown.
             let shown = std::env::args_os().map(|text| printable::short(&text.to_string_lossy()));
-            let _ = Cli::try_parse_from(shown).err().unwrap_or(error).print();
+            let shown = Cli::try_parse_from(shown).err().unwrap_or(error);
+            complaint::complain_of_usage(&shown);
             return 64;
         }
         Err(help) => {
@@ -212,11 +221,15 @@ pub fn run() -> u8 {
             return 0;
         }
     };
+    let complaints = complaint::Complaints {
+        json: cli.json,
+        resumable: matches!(cli.command, Command::Scan(_)),
+    };
     // The panic's own message is on stderr already.
-    match catch_unwind(AssertUnwindSafe(|| execute(cli))) {
+    match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
         Ok(Ok(())) => 0,
         Ok(Err(error)) => {
-            complain(&error);
+            complaints.say(&error);
             error.exit_code()
         }
         Err(_) => {
@@ -226,19 +239,14 @@ pub fn run() -> u8 {
     }
 }
 
-/// An error, on stderr.
-fn complain(error: &Error) {
-    say(&error.to_string());
-}
-
 /// A line on stderr.
 fn say(text: &str) {
     // A closed stderr must not hide the exit code.
     let _ = writeln!(std::io::stderr(), "lasertrace: {}", printable::line(text));
 }
 
-fn execute(cli: Cli) -> Result<()> {
-    signals::listen()?;
+fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
+    signals::listen(complaints)?;
     let output = Output {
         quiet: cli.quiet,
         json: cli.json,

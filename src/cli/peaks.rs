@@ -54,7 +54,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 fn chart_text(chart: &PeakChart) -> String {
     let mut text = format!("{:<48}{:>40}\n", "", "bias and noise, 1/1000 px");
     for axis in &chart.axes {
-        let names = axis.finders.iter().map(|(f, _)| format!("{f:?}"));
+        let names = axis.finders.iter().map(|(f, _)| f.to_string());
         let names: String = names.map(|name| format!("{name:>17}")).collect();
         let _ = writeln!(text, "{:<40}{names}", axis.quantity);
         for (i, value) in axis.values.iter().enumerate() {
@@ -77,7 +77,7 @@ fn image_text(summary: &ImageSummary) -> String {
         let _ = writeln!(
             text,
             "{:<16} {} points in {} columns, {} flagged, σ {} px (median)",
-            format!("{:?}", line.finder),
+            line.finder,
             line.points,
             summary.columns,
             line.flagged,

@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments, show};
+use super::{CoverageArguments, Output, STOP, SceneArguments, show, warning_lines};
 use crate::batch::{self, Control, ScanOptions};
 use crate::error::Result;
 use crate::error::printable::path;
@@ -22,6 +22,9 @@ pub struct Arguments {
     /// No images: profiles from laser rays and what the camera sees of them
     #[arg(long)]
     geometry_only: bool,
+    /// Exit with code 65 if nothing worth having can be or was measured
+    #[arg(long)]
+    strict: bool,
     /// Also write cloud.csv, cloud.e57, profiles.npy
     #[arg(long, value_name = "FORMAT", value_delimiter = ',')]
     also: Vec<Also>,
@@ -61,6 +64,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         frames: arguments.frames,
         resume: arguments.resume,
         geometry_only: arguments.geometry_only,
+        strict: arguments.strict,
         also: arguments.also.iter().map(|also| also.format()).collect(),
     };
     let count = options
@@ -79,16 +83,18 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let summary = summary?;
     let deviation = match &summary.deviation {
         Some(d) => format!(
-            "{} points, {} of them sound; their deviation from CAD: mean {} µm, standard deviation {} µm",
-            summary.points,
+            "{} of {} points are valid; their deviation from the CAD: mean {} µm, standard \
+             deviation {} µm",
             d.points,
+            summary.points,
             short(d.mean_um),
             short(d.std_um)
         ),
-        None => format!("{} points, none of them sound", summary.points),
+        None => format!("{} points, none of them valid", summary.points),
     };
+    let warnings = warning_lines(&summary.warnings);
     let mut text = format!(
-        "{deviation}\nopen the report:  {}\npoint cloud:      {}",
+        "{warnings}{deviation}\nopen the report:  {}\npoint cloud:      {}",
         path(&summary.report),
         path(&summary.cloud)
     );

@@ -1,7 +1,8 @@
 //! What the system tells the program: to stop, that a file grows too large, that there is
 //! no more memory.
 
-use super::{STOP, complain};
+use super::STOP;
+use super::complaint::Complaints;
 use crate::error::{Error, Result};
 use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
@@ -19,8 +20,8 @@ const GRACE: Duration = Duration::from_secs(2);
 /// Temporary, after BSD `sysexits.h`: run again.
 const TEMPORARY: i32 = 75;
 
-/// Starts to listen. Errors: the system gives no thread for it.
-pub fn listen() -> Result<()> {
+/// Starts to listen; `complaints` say that it ends. Errors: the system gives no thread for it.
+pub fn listen(complaints: Complaints) -> Result<()> {
     let failed = |error: std::io::Error| Error::Exhausted(format!("cannot start: {error}"));
     // Without a handler a file that grows too large ends the program; with one the write
     // fails and is reported.
@@ -36,19 +37,21 @@ pub fn listen() -> Result<()> {
     }));
     let signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(failed)?;
     let listener = thread::Builder::new().name("signals".to_owned());
-    listener.spawn(|| stop_on(signals)).map_err(failed)?;
+    listener
+        .spawn(move || stop_on(signals, complaints))
+        .map_err(failed)?;
     Ok(())
 }
 
 /// The first signal asks for an orderly end; after a second, or when that takes too long,
 /// the program ends at once.
-fn stop_on(mut signals: Signals) {
+fn stop_on(mut signals: Signals, complaints: Complaints) {
     while signals.wait().next().is_none() {}
     STOP.store(true, Ordering::Relaxed);
     let end = Instant::now() + GRACE;
     while Instant::now() < end && signals.pending().next().is_none() {
         thread::sleep(Duration::from_millis(10));
     }
-    complain(&Error::Interrupted);
+    complaints.say(&Error::Interrupted);
     low_level::exit(TEMPORARY);
 }

@@ -116,7 +116,7 @@ impl Report {
     fn distribution(&self, html: &mut String) {
         html.push_str("<h2>Distribution</h2>");
         let Some(s) = &self.statistics else {
-            html.push_str("<p>No point was measured: no line was found in any frame.</p>");
+            html.push_str("<p>No valid point, so nothing to show.</p>");
             return;
         };
         let histograms = self.histograms.iter();
@@ -259,7 +259,7 @@ fn coverage_section(coverage: &SurfaceCoverage, html: &mut String) {
     let _ = write!(
         html,
         "<h2>Coverage of the CAD surface</h2>{}\
-         <table><tr><th>area</th><th>mm²</th><th>of 100</th><th>meaning</th></tr>",
+         <table><tr><th>area</th><th>mm²</th><th>%</th><th>meaning</th></tr>",
         share_bar("coverage of the CAD surface", &parts)
     );
     for &(fate, share) in &coverage.shares {

@@ -191,7 +191,7 @@ fn legend(svg: &mut String) {
     let _ = write!(
         svg,
         "<path d=\"M80 76h24\" stroke=\"{PREDICTED}\" stroke-width=\"1.6\"/>\
-         <text x=\"110\" y=\"80\">predicted from the data sheet</text>\
+         <text x=\"110\" y=\"80\">predicted from the scene</text>\
          <rect x=\"310\" y=\"70\" width=\"24\" height=\"12\" fill=\"#d6dbdf\"/>\
          <text x=\"340\" y=\"80\">where 95 of 100 dots should lie</text>\
          <circle cx=\"560\" cy=\"76\" r=\"3\" fill=\"{FOUND}\"/>\

@@ -187,29 +187,43 @@ fn duplicates(mesh: &Mesh) -> usize {
     keys.windows(2).filter(|pair| pair[0] == pair[1]).count()
 }
 
+/// A length of a part, mm, to a nanometre: what is less is rounding.
+fn length(mm: f64) -> String {
+    let text = format!("{mm:.6}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    match text {
+        "-0" => "0".to_owned(),
+        text => text.to_owned(),
+    }
+}
+
 impl fmt::Display for MeshReport {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let (min, size) = (self.bounds_mm.min, self.bounds_mm.size());
         let orientation = match self.orientation {
-            Orientation::Outward => "closed, facing outward",
-            Orientation::Inward => "closed, facing INWARD",
-            Orientation::Mixed => "closed, facing both ways",
+            Orientation::Outward => "closed, normals outward",
+            Orientation::Inward => "closed, normals INWARD",
+            Orientation::Mixed => "closed, but normals outward in places and inward in others",
             Orientation::Open => "open",
         };
-        writeln!(f, "triangles           {}", self.triangles)?;
-        writeln!(f, "vertices            {}", self.vertices)?;
+        writeln!(f, "triangles         {}", self.triangles)?;
+        writeln!(f, "vertices          {}", self.vertices)?;
         writeln!(
             f,
-            "size                {} x {} x {} mm",
-            size.x, size.y, size.z
+            "size              {} × {} × {} mm",
+            length(size.x),
+            length(size.y),
+            length(size.z)
         )?;
         writeln!(
             f,
-            "lowest corner       ({}, {}, {}) mm",
-            min.x, min.y, min.z
+            "lowest corner     ({}, {}, {}) mm",
+            length(min.x),
+            length(min.y),
+            length(min.z)
         )?;
         let step = self.coordinate_step_mm;
-        write!(f, "coordinate step     {step:.1e} mm")?;
+        write!(f, "coordinate step   {step:.1e} mm")?;
         if step > COARSE * size.length() {
             write!(
                 f,
@@ -217,16 +231,27 @@ impl fmt::Display for MeshReport {
             )?;
         }
         writeln!(f)?;
-        write!(f, "orientation         {orientation}")?;
+        write!(f, "surface           {orientation}")?;
         if self.volume_mm3 != 0.0 {
-            write!(f, ", {:.6e} mm³", self.volume_mm3.abs())?;
+            write!(f, ", around {} mm³", length(self.volume_mm3.abs()))?;
         }
         writeln!(f)?;
-        writeln!(f, "boundary edges      {}", self.boundary_edges)?;
-        writeln!(f, "non-manifold edges  {}", self.non_manifold_edges)?;
-        writeln!(f, "winding conflicts   {}", self.winding_conflicts)?;
-        writeln!(f, "degenerate          {}", self.degenerate_triangles)?;
-        write!(f, "duplicates          {}", self.duplicate_triangles)
+        let faults = [
+            (self.boundary_edges, "edges of one triangle only"),
+            (self.non_manifold_edges, "edges of more than two triangles"),
+            (
+                self.winding_conflicts,
+                "edges whose triangles face opposite ways",
+            ),
+            (self.degenerate_triangles, "triangles without area"),
+            (self.duplicate_triangles, "triangles given twice"),
+        ];
+        let faults = faults.iter().filter(|(count, _)| *count > 0);
+        let faults: Vec<String> = faults.map(|(n, what)| format!("{n} {what}")).collect();
+        match faults.is_empty() {
+            true => write!(f, "faults            none"),
+            false => write!(f, "faults            {}", faults.join(", ")),
+        }
     }
 }
 

@@ -2,8 +2,8 @@
 //! between them the mesh departs from it by at most `chord_mm`, the sagitta.
 //! All face outward, and all but the plane are closed.
 //!
-//! Errors say what is wrong with the arguments; the caller knows which file
-//! and key they came from.
+//! Errors say which argument is wrong and what it should be; the caller knows which
+//! file and key it came from.
 
 use std::f64::consts::PI;
 
@@ -13,10 +13,18 @@ use crate::math::{DVec2, DVec3};
 /// Most vertices a shape may have: 2 GB with its acceleration structure.
 const MOST_VERTICES: f64 = 4e6;
 
+/// An argument that makes no shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WrongSize {
+    /// As the keys of scene files: `radius_mm`.
+    pub argument: &'static str,
+    pub expected: String,
+}
+
 /// Rectangle in the plane z = 0 with its middle at the origin, facing +z.
-pub fn plane(size: DVec2) -> Result<Mesh, String> {
-    positive("size", size.x)?;
-    positive("size", size.y)?;
+pub fn plane(size: DVec2) -> Result<Mesh, WrongSize> {
+    positive("size_mm", size.x)?;
+    positive("size_mm", size.y)?;
     let h = size / 2.0;
     let corners = [(-h.x, -h.y), (h.x, -h.y), (h.x, h.y), (-h.x, h.y)];
     Ok(Mesh {
@@ -27,14 +35,14 @@ pub fn plane(size: DVec2) -> Result<Mesh, String> {
 
 /// Sphere about the origin: an octahedron with each face divided into n²
 /// triangles and its vertices pushed out to the sphere.
-pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, String> {
-    positive("radius", radius)?;
-    positive("chord", chord_mm)?;
+pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
+    positive("radius_mm", radius)?;
+    positive("chord_um", chord_mm)?;
     // The largest triangles, amid the faces, have sides √2/n before and √6/n
     // after projection (the face is at 1/√3), circumradius √2/n, and thus
     // sagitta r/n² at most; the test below measures it.
     let n = (radius / chord_mm).sqrt().ceil().max(1.0);
-    bounded("sphere", 4.0 * n * n + 2.0)?;
+    bounded(4.0 * n * n + 2.0)?;
     let n = n as i64;
     let mut corners = Vec::new();
     let mut triangles = Vec::new();
@@ -66,14 +74,14 @@ pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, String> {
 }
 
 /// Cylinder about the y axis from y = −length/2 to length/2, with flat caps.
-pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, String> {
-    positive("radius", radius)?;
-    positive("length", length)?;
-    positive("chord", chord_mm)?;
+pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
+    positive("radius_mm", radius)?;
+    positive("length_mm", length)?;
+    positive("chord_um", chord_mm)?;
     // Sagitta of a side of a regular n-gon: r (1 − cos π/n) = 2 r sin²(π/2n).
     let half = (chord_mm / (2.0 * radius)).min(1.0).sqrt().asin();
     let n = (PI / (2.0 * half)).ceil().max(3.0);
-    bounded("cylinder", 2.0 * n + 2.0)?;
+    bounded(2.0 * n + 2.0)?;
     let n = n as u32;
     let mut positions = Vec::new();
     for k in 0..n {
@@ -98,16 +106,16 @@ pub fn cylinder(radius: f64, length: f64, chord_mm: f64) -> Result<Mesh, String>
 
 /// Block on z = 0, centred in x and y, whose top is at z = `size.z` for x > 0
 /// and lower by `step_mm` for x < 0.
-pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, String> {
+pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, WrongSize> {
     for extent in size.to_array() {
-        positive("size", extent)?;
+        positive("size_mm", extent)?;
     }
-    positive("step", step_mm)?;
+    positive("step_mm", step_mm)?;
     if step_mm >= size.z {
-        return Err(format!(
-            "step {step_mm} mm, expected less than the height {} mm",
-            size.z
-        ));
+        return Err(WrongSize {
+            argument: "step_mm",
+            expected: format!("less than the block's height, {} mm", size.z),
+        });
     }
     let (x, y, top, low) = (size.x / 2.0, size.y / 2.0, size.z, size.z - step_mm);
     // Outline seen from −y, counter-clockwise.
@@ -138,22 +146,27 @@ pub fn step_block(size: DVec3, step_mm: f64) -> Result<Mesh, String> {
     })
 }
 
-fn positive(name: &str, value: f64) -> Result<(), String> {
-    if value > 0.0 && value <= LARGEST_MM {
+fn positive(argument: &'static str, value_mm: f64) -> Result<(), WrongSize> {
+    if value_mm > 0.0 && value_mm <= LARGEST_MM {
         return Ok(());
     }
-    Err(format!(
-        "{name} {value} mm, expected more than 0 and at most {LARGEST_MM:e} mm"
-    ))
+    Err(WrongSize {
+        argument,
+        expected: format!("more than 0 and at most {LARGEST_MM:e} mm"),
+    })
 }
 
-fn bounded(shape: &str, vertices: f64) -> Result<(), String> {
+fn bounded(vertices: f64) -> Result<(), WrongSize> {
     if vertices <= MOST_VERTICES {
         return Ok(());
     }
-    Err(format!(
-        "a {shape} of {vertices:.3e} vertices, expected at most {MOST_VERTICES:e}: take a larger chord"
-    ))
+    Err(WrongSize {
+        argument: "chord_um",
+        expected: format!(
+            "a larger chord: with this one the shape has {vertices:.1e} vertices, and at most \
+             {MOST_VERTICES:e} are made"
+        ),
+    })
 }
 
 #[cfg(test)]
@@ -261,28 +274,19 @@ mod tests {
 
     #[test]
     fn impossible_sizes_are_refused() {
-        assert!(sphere(1.0, 1e-9).unwrap_err().contains("larger chord"));
-        assert!(
-            sphere(1e12, f64::MIN_POSITIVE)
-                .unwrap_err()
-                .contains("larger chord")
-        );
-        assert!(
-            cylinder(1.0, 1.0, 1e-300)
-                .unwrap_err()
-                .contains("larger chord")
-        );
-        assert!(cylinder(-1.0, 1.0, 0.1).unwrap_err().contains("radius -1"));
-        assert!(
-            plane(DVec2::new(f64::NAN, 1.0))
-                .unwrap_err()
-                .contains("size NaN")
-        );
-        assert!(
-            step_block(DVec3::ONE, 1.0)
-                .unwrap_err()
-                .contains("less than the height")
-        );
-        assert!(step_block(DVec3::ONE, 0.0).unwrap_err().contains("step 0"));
+        let assert_refused = |shape: Result<Mesh, WrongSize>, argument, words: &str| {
+            let wrong = shape.unwrap_err();
+            assert_eq!(wrong.argument, argument);
+            assert!(wrong.expected.contains(words), "{}", wrong.expected);
+        };
+        let larger = "a larger chord";
+        assert_refused(sphere(1.0, 1e-9), "chord_um", larger);
+        assert_refused(sphere(1e12, f64::MIN_POSITIVE), "chord_um", larger);
+        assert_refused(cylinder(1.0, 1.0, 1e-300), "chord_um", larger);
+        assert_refused(cylinder(-1.0, 1.0, 0.1), "radius_mm", "more than 0");
+        assert_refused(cylinder(1.0, 0.0, 0.1), "length_mm", "more than 0");
+        assert_refused(plane(DVec2::new(f64::NAN, 1.0)), "size_mm", "more than 0");
+        assert_refused(step_block(DVec3::ONE, 1.0), "step_mm", "height, 1 mm");
+        assert_refused(step_block(DVec3::ONE, 0.0), "step_mm", "more than 0");
     }
 }

@@ -41,6 +41,12 @@ fn students_quantile(z: f64, freedom: f64) -> f64 {
     z + first / freedom + second / (freedom * freedom)
 }
 
+/// Counts above the background that a line of a frame of `pixels` has at least, if the
+/// background's noise is `noise` counts and is known well.
+pub fn least_height(pixels: usize, noise: f64) -> f64 {
+    detection_sigmas(pixels) * noise.max(ROUNDING)
+}
+
 /// Background of the column, whose highest count this is: from the median and its absolute deviation (×1.4826
 /// for normal noise, and one count for what rounding hides), what lies further than
 /// four deviations off is left out, again and again until nothing changes. The

@@ -74,6 +74,25 @@ impl Clipping {
     }
 }
 
+/// Mean height of a line, in saturations, from which on too much of its light is lost for its
+/// centroid to be believed. `variance` is the relative one of a pixel's light by speckle;
+/// without speckle no pixel may saturate.
+pub fn blinding_height(variance: f64) -> f64 {
+    if variance <= 0.0 {
+        return 1.0;
+    }
+    let grains = gamma(1.0 / variance);
+    let (mut low, mut high) = (1.0, 10.0);
+    for _ in 0..30 {
+        let middle = (low + high) / 2.0;
+        match clipped(middle, &grains, variance).keeps_enough() {
+            true => low = middle,
+            false => high = middle,
+        }
+    }
+    low
+}
+
 /// Values and shares of a gamma-distributed light of shape `m` and mean 1.
 fn gamma(m: f64) -> Vec<(f64, f64)> {
     let most = 1.0 + 8.0 / m.sqrt() + 8.0 / m;
@@ -135,6 +154,15 @@ mod tests {
         }
         let high = clipped(1.0, &grains, 1.0);
         assert!((high.kept - 0.761).abs() < 0.005, "{high:?}");
+    }
+
+    /// Exponential light keeps 1 - e^(-1/μ) of itself, half of it on average over a Gaussian
+    /// line 2.31 times as high as saturation (its integral by quadrature).
+    #[test]
+    fn a_line_that_blinds_keeps_half_its_light() {
+        assert_eq!(blinding_height(0.0), 1.0);
+        let height = blinding_height(1.0);
+        assert!((height - 2.31).abs() < 0.03, "{height}");
     }
 
     /// What is found by its light and width is the line that was clipped.

@@ -26,8 +26,9 @@ mod variances;
 mod widths;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
-pub use background::FALSE_PEAKS_PER_FRAME;
+pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
+pub use clipping::blinding_height;
 pub use find::{
     CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO,
     compare_neighbours, find_peaks,

@@ -102,6 +102,18 @@ pub enum PeakFinder {
     DerivativeZero,
 }
 
+/// As scene files have it.
+impl fmt::Display for PeakFinder {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(match self {
+            PeakFinder::Centroid => "centroid",
+            PeakFinder::LogParabola => "log-parabola",
+            PeakFinder::GaussianFit => "gaussian-fit",
+            PeakFinder::DerivativeZero => "derivative-zero",
+        })
+    }
+}
+
 impl PeakFinder {
     pub const ALL: [PeakFinder; 4] = [
         PeakFinder::Centroid,

@@ -53,10 +53,11 @@ fn dots(
     let _ = write!(
         svg,
         "<text x=\"{MARGIN}\" y=\"{}\">residuals of the target's dots over the sensor, all views; \
-         rms {rms:.4} px a coordinate, drawn {magnified:.0} units a pixel</text>\
+         rms {rms:.4} px a coordinate, errors drawn {:.0} times too long</text>\
          <rect x=\"{MARGIN}\" y=\"{MARGIN}\" width=\"{WIDTH}\" height=\"{height:.1}\" \
          fill=\"#f6f6f6\" stroke=\"#333\"/>",
-        MARGIN - 16.0
+        MARGIN - 16.0,
+        magnified / scale
     );
     for (dot, r) in observations.dots.iter().zip(&adjustment.dot_residuals) {
         let at = dot.pixel * scale + MARGIN;

@@ -2,6 +2,7 @@
 //! The doc comments here become the descriptions in the JSON Schema.
 
 use super::accuracy::{AccuracyTable, PlanTable};
+use super::unit::Unit;
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -84,37 +85,6 @@ pub struct MeshTable {
     pub file: String,
     /// Unit of the file's coordinates, which the file itself does not say.
     pub unit: Unit,
-}
-
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema, clap::ValueEnum)]
-pub enum Unit {
-    #[serde(rename = "um")]
-    #[value(name = "um")]
-    Micrometre,
-    #[serde(rename = "mm")]
-    #[value(name = "mm")]
-    Millimetre,
-    #[serde(rename = "cm")]
-    #[value(name = "cm")]
-    Centimetre,
-    #[serde(rename = "m")]
-    #[value(name = "m")]
-    Metre,
-    #[serde(rename = "inch")]
-    Inch,
-}
-
-impl Unit {
-    /// Its length, mm.
-    pub fn mm(self) -> f64 {
-        match self {
-            Unit::Micrometre => 1e-3,
-            Unit::Millimetre => 1.0,
-            Unit::Centimetre => 10.0,
-            Unit::Metre => 1000.0,
-            Unit::Inch => 25.4,
-        }
-    }
 }
 
 /// A rectangle in the part's xy plane, facing +z, centred on its origin.
@@ -390,4 +360,8 @@ fn one_pose() -> u32 {
 pub fn schema() -> String {
     let schema = schemars::schema_for!(SceneFile);
     serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
+}
+
+pub(super) fn schema_value() -> serde_json::Value {
+    schemars::schema_for!(SceneFile).to_value()
 }

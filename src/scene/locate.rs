@@ -1,5 +1,6 @@
 //! Where in a scene file a key stands, so that an error can say so.
 
+use super::keys;
 use crate::error::{Error, InputError, Place};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -9,8 +10,25 @@ use toml::de::{DeTable, DeValue};
 pub(super) struct Source {
     file: PathBuf,
     text: String,
-    /// Dotted key, where the key stands, where its value stands.
-    entries: Vec<(String, Range<usize>, Range<usize>)>,
+    entries: Vec<Entry>,
+}
+
+struct Entry {
+    /// Dotted.
+    key: String,
+    /// Where the key stands.
+    at: Range<usize>,
+    /// Where its value stands.
+    value: Range<usize>,
+    kind: Kind,
+}
+
+enum Kind {
+    Table,
+    /// A list whose first element is a table.
+    Tables,
+    List,
+    Value,
 }
 
 impl Source {
@@ -37,12 +55,33 @@ impl Source {
             entries: Vec::new(),
         };
         let mut entries = Vec::new();
-        match DeTable::parse(&source.text) {
-            Ok(table) => collect("", table.get_ref(), &mut entries),
-            Err(error) => return Err(source.not_toml(&error)),
-        }
+        // What of a file with a mistake can be read says where the mistake stands.
+        let (table, errors) = DeTable::parse_recoverable(&source.text);
+        collect("", table.get_ref(), &mut entries);
+        let error = errors.into_iter().next();
         source.entries = entries;
-        Ok(source)
+        match error {
+            Some(error) => Err(source.not_toml(&error)),
+            None => source.no_list_for_a_table().map(|()| source),
+        }
+    }
+
+    /// A list is no table, though its values could stand for a table's in their order.
+    fn no_list_for_a_table(&self) -> Result<(), Error> {
+        let list = self.entries.iter().find(|entry| {
+            let inside = keys::inside(&entry.key).next().is_some();
+            matches!(entry.kind, Kind::List | Kind::Tables) && inside
+        });
+        let Some(entry) = list else { return Ok(()) };
+        let (key, place) = (&entry.key, self.line(entry.at.start));
+        let (found, expected) = match entry.kind {
+            Kind::Tables => (
+                format!("[[{key}]], a list of tables"),
+                format!("[{key}], one table"),
+            ),
+            _ => (self.written(entry).to_owned(), A_TABLE.to_owned()),
+        };
+        Err(self.error(place, Some(key), found, &expected))
     }
 
     pub fn text(&self) -> &str {
@@ -54,81 +93,185 @@ impl Source {
         Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
     }
 
+    /// An entry's value as written, its first line.
+    fn written(&self, entry: &Entry) -> &str {
+        let text = &self.text[entry.value.clone()];
+        text.lines().next().unwrap_or_default()
+    }
+
     /// The value of `key` as written; the line of its nearest ancestor if it is
     /// not in the file.
     pub fn wrong(&self, key: &str, expected: &str) -> Error {
         let mut path = key;
-        let found = |path: &str| self.entries.iter().find(|(k, _, _)| k == path);
+        let found = |path: &str| self.entries.iter().find(|entry| entry.key == path);
         let place = loop {
             match (found(path), path.rfind('.')) {
-                (Some((_, at, _)), _) => break self.line(at.start),
+                (Some(entry), _) => break self.line(entry.at.start),
                 (None, Some(dot)) => path = &path[..dot],
                 (None, None) => break Place::File,
             }
         };
-        let value = found(key).map_or("no such key", |(_, _, value)| {
-            let text = &self.text[value.clone()];
-            text.lines().next().unwrap_or_default()
-        });
+        let value = found(key).map_or("", |entry| self.written(entry));
         self.error(place, Some(key), value, expected)
     }
 
-    fn not_toml(&self, error: &toml::de::Error) -> Error {
-        let place = self.line(error.span().map_or(0, |span| span.start));
-        let reason = error.message().replace('\n', "; ");
-        let found = format!("text that is not TOML ({reason})");
-        self.error(place, None, found, "TOML")
+    /// `key`, which is not in the file and must be.
+    pub fn missing(&self, key: &str) -> Error {
+        let expected = match key.rsplit_once('.') {
+            _ if keys::inside(key).next().is_some() => format!("a table [{key}]"),
+            Some((table, name)) => format!("{name} = ... in [{table}]"),
+            None => format!("{key} = ... above the first [table]"),
+        };
+        self.wrong(key, &expected)
     }
 
-    /// An error of the TOML reader, in our words where it has a pattern.
+    /// What the TOML reader cannot read.
+    fn not_toml(&self, error: &toml::de::Error) -> Error {
+        let at = error.span().unwrap_or(0..0);
+        let place = self.line(at.start);
+        let end = self.text.len();
+        let start = self.text[..at.start.min(end)]
+            .rfind('\n')
+            .map_or(0, |n| n + 1);
+        let line = self.text[start..].lines().next().unwrap_or_default().trim();
+        if error.message() == "duplicate key" {
+            let name = &self.text[at.start.min(end)..at.end.min(end)];
+            let key = self.key_at(at.start, name.trim_matches(['[', ']', ' ']));
+            // Of a table that is there twice the second may be all that is kept.
+            let mut before = self.entries.iter().filter(|e| e.at.start < at.start);
+            let first = before.find(|entry| entry.key == key);
+            let first = first.map_or(String::new(), |entry| match self.line(entry.at.start) {
+                Place::Line(line) => format!("; the first stands in line {line}"),
+                _ => String::new(),
+            });
+            let found = format!("a second {name}");
+            return self.error(place, Some(&key), found, &format!("each key once{first}"));
+        }
+        let name = line.split_once('=').map(|(name, _)| name.trim());
+        let bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.';
+        let key = name
+            .filter(|name| !name.is_empty() && name.chars().all(bare))
+            .map(|name| self.key_at(at.start, name));
+        let reason = error.message().replace('\n', "; ");
+        let found = format!("{line:?}, which is not TOML ({reason})");
+        let expected = "TOML: [table], key = 1.5, key = \"text\"";
+        self.error(place, key.as_deref(), found, expected)
+    }
+
+    /// The dotted key of a `name` that stands at `offset`: in the inline table around it,
+    /// or below the last header before it.
+    fn key_at(&self, offset: usize, name: &str) -> String {
+        let around = self
+            .entries
+            .iter()
+            .filter(|entry| matches!(entry.kind, Kind::Table) && entry.value.contains(&offset));
+        let inline = around.max_by_key(|entry| entry.value.start);
+        let before = self.text[..offset.min(self.text.len())].lines();
+        let headers = before
+            .map(str::trim_start)
+            .filter(|line| line.starts_with('['));
+        let header = headers.last().and_then(|line| {
+            let line = line.trim_start_matches('[');
+            line.split_once(']').map(|(table, _)| table.trim())
+        });
+        match (inline.map(|entry| entry.key.as_str()), header) {
+            (Some(table), _) | (None, Some(table)) if table != name => format!("{table}.{name}"),
+            _ => name.to_owned(),
+        }
+    }
+
+    /// An error of the TOML reader, in the words of all errors where it has a pattern.
     pub fn explain(&self, error: &toml::de::Error) -> Error {
         let message = error.message();
         let at = error.span().unwrap_or(0..0);
         let inside = |range: &Range<usize>| range.contains(&at.start);
-        let key = self
+        let entry = self
             .entries
             .iter()
             // The whole file's table has an empty span.
-            .filter(|(_, k, v)| !at.is_empty() && (inside(k) || inside(v)))
-            .max_by_key(|(key, _, _)| key.matches('.').count())
-            .map(|(key, _, _)| key.clone());
+            .filter(|entry| !at.is_empty() && (inside(&entry.at) || inside(&entry.value)))
+            .max_by_key(|entry| entry.key.matches('.').count());
         let quoted = message.split('`').nth(1).unwrap_or_default();
-        let join = |key: Option<String>| match key {
-            Some(table) => format!("{table}.{quoted}"),
-            None => quoted.to_owned(),
-        };
-        let place = match at.is_empty() {
-            true => Place::File,
-            false => self.line(at.start),
-        };
         if message.starts_with("missing field") {
-            let key = join(key);
-            return self.error(place, Some(&key), "no such key", "it to be given");
+            return self.missing(&match entry {
+                Some(table) => format!("{}.{quoted}", table.key),
+                None => quoted.to_owned(),
+            });
         }
-        if message.starts_with("unknown field") {
-            let expected = message.split_once(", expected ").map_or("", |(_, e)| e);
-            return self.error(
-                place,
-                key.as_deref(),
-                format!("unknown key `{quoted}`"),
-                expected,
-            );
-        }
-        let (found, expected) = message
-            .split_once(", expected ")
-            .unwrap_or((message, "TOML"));
-        let found = found
-            .trim_start_matches("invalid type: ")
-            .trim_start_matches("invalid value: ")
-            .replace("invalid length", "length");
-        let expected = match expected {
-            "f64" => "a number",
-            "u32" | "u64" => "a whole number, not negative",
-            "a sequence" => "an array",
-            structure if structure.starts_with("struct ") => "a table",
-            other => other,
+        let (Some(entry), Some((found, expected))) = (entry, message.split_once(", expected "))
+        else {
+            let place = match at.is_empty() {
+                true => Place::File,
+                false => self.line(at.start),
+            };
+            let key = entry.map(|entry| entry.key.as_str());
+            return self.error(place, key, message, "a scene file");
         };
-        self.error(place, key.as_deref(), found, expected)
+        let place = self.line(at.start);
+        let expected = expected.trim_start_matches("one of ");
+        let choices: Vec<&str> = expected.split('`').skip(1).step_by(2).collect();
+        if message.starts_with("unknown field") {
+            return self.unknown_key(place, &entry.key, &choices);
+        }
+        if message.starts_with("unknown variant") {
+            let expected: Vec<String> = choices.iter().map(|c| format!("{c:?}")).collect();
+            let expected = one_of(&expected);
+            let hint = nearest(quoted, &choices).map(|near| format!("did you mean {near:?}?"));
+            return self.hinted(place, &entry.key, self.written(entry), &expected, hint);
+        }
+        let written = self.written(entry);
+        let (found, expected) = match (found.strip_prefix("invalid length "), expected) {
+            (Some(length), _) => (
+                format!("{written}, a list of {length}"),
+                expected.replace("an array of length", "a list of"),
+            ),
+            (_, "f64") => (written.into(), "a number".into()),
+            (_, "u32" | "u64") => (written.into(), "a whole number, not negative".into()),
+            (_, "a boolean") => (written.into(), "true or false".into()),
+            (_, "a string") => (written.into(), "text in quotation marks".into()),
+            (_, "a sequence") => (written.into(), "a list such as [1, 2]".into()),
+            (_, table) if table.starts_with("struct ") => (written.into(), A_TABLE.into()),
+            (_, other) => (written.into(), other.to_owned()),
+        };
+        self.error(place, Some(&entry.key), found, &expected)
+    }
+
+    fn unknown_key(&self, place: Place, key: &str, choices: &[&str]) -> Error {
+        let (table, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let elsewhere: Vec<String> = keys::all()
+            .filter(|known| known.rsplit_once('.').is_some_and(|(_, last)| last == name))
+            .map(|known| {
+                format!(
+                    "[{}]",
+                    known.rsplit_once('.').map_or("", |(table, _)| table)
+                )
+            })
+            .collect();
+        let hint = match nearest(name, choices) {
+            Some(near) => Some(format!("did you mean {near}?")),
+            None if elsewhere.is_empty() => None,
+            None => Some(format!("{name} belongs in {}", one_of(&elsewhere))),
+        };
+        let found = match table {
+            "" => "a key that a scene does not have".to_owned(),
+            _ => format!("a key that [{table}] does not have"),
+        };
+        let choices: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
+        self.hinted(place, key, &found, &one_of(&choices), hint)
+    }
+
+    fn hinted(
+        &self,
+        place: Place,
+        key: &str,
+        found: &str,
+        expected: &str,
+        hint: Option<String>,
+    ) -> Error {
+        let mut error = InputError::new(&self.file, place, found, expected);
+        error.key = Some(key.to_owned());
+        error.hint = hint;
+        error.into()
     }
 
     fn error(
@@ -144,15 +287,47 @@ impl Source {
     }
 }
 
-fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<(String, Range<usize>, Range<usize>)>) {
-    for (key, value) in table.iter() {
-        let path = match prefix {
-            "" => key.get_ref().to_string(),
-            _ => format!("{prefix}.{}", key.get_ref()),
+const A_TABLE: &str = "a table of keys, [table] or { key = value }";
+
+/// `a`, `a or b`, `a, b or c`.
+fn one_of(choices: &[String]) -> String {
+    match choices.split_last() {
+        None => String::new(),
+        Some((last, [])) => last.clone(),
+        Some((last, others)) => format!("{} or {last}", others.join(", ")),
+    }
+}
+
+/// The choice most like `word`, if it is one misspelt: by the similarity of Jaro and
+/// Winkler, and with the bound, that cargo and clap use for command lines.
+fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
+    let rated = choices.iter().map(|&c| (strsim::jaro_winkler(word, c), c));
+    let best = rated.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best.0 > 0.8).then_some(best.1)
+}
+
+fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
+    for (name, value) in table.iter() {
+        let key = match prefix {
+            "" => name.get_ref().to_string(),
+            _ => format!("{prefix}.{}", name.get_ref()),
         };
-        if let DeValue::Table(inner) = value.get_ref() {
-            collect(&path, inner, entries);
-        }
-        entries.push((path, key.span(), value.span()));
+        let kind = match value.get_ref() {
+            DeValue::Table(inner) => {
+                collect(&key, inner, entries);
+                Kind::Table
+            }
+            DeValue::Array(list) => match list.get(0).map(|first| first.get_ref()) {
+                Some(DeValue::Table(_)) => Kind::Tables,
+                _ => Kind::List,
+            },
+            _ => Kind::Value,
+        };
+        entries.push(Entry {
+            key,
+            at: name.span(),
+            value: value.span(),
+            kind,
+        });
     }
 }

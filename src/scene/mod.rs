@@ -2,15 +2,18 @@
 
 mod accuracy;
 mod file;
+mod keys;
 mod locate;
 mod optics;
 mod part;
 mod path;
 mod poses;
 mod resolve;
+mod unit;
 
 pub use accuracy::PlanTable;
-pub use file::{Moves, SceneFile, Unit, schema};
+pub use file::{Moves, SceneFile, schema};
 pub use path::{Motion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};
+pub use unit::Unit;

@@ -1,6 +1,7 @@
 //! What the part of a scene is, in words.
 
-use super::file::{PartTable, Unit};
+use super::file::PartTable;
+use super::unit::Unit;
 
 impl PartTable {
     /// The mesh file and its unit, or the shape and its size.

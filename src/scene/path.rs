@@ -154,7 +154,11 @@ impl Resolver<'_> {
             (Some(rotary), None) => (self.rotary(rotary)?, self.frames(table)?, Vec::new()),
             (None, Some(file)) => {
                 let absent = table.frames.is_none();
-                self.check(absent, "scan.frames", "no such key beside scan.poses")?;
+                self.check(
+                    absent,
+                    "scan.frames",
+                    "no frames beside scan.poses: the file of poses has one line a frame",
+                )?;
                 let (file, poses, hash) = self.poses(file, "scan.poses")?;
                 let frames = poses.len() as u32;
                 (Motion::Poses { file, poses }, frames, hash)
@@ -165,7 +169,7 @@ impl Resolver<'_> {
             }
         };
         if table.rotary.is_some() || table.poses.is_some() {
-            let expected = "no such key beside scan.rotary or scan.poses";
+            let expected = "none beside scan.rotary or scan.poses, which say how the path goes";
             self.check(table.step_mm.is_none(), "scan.step_mm", expected)?;
             self.check(table.direction.is_none(), "scan.direction", expected)?;
         }
@@ -181,7 +185,7 @@ impl Resolver<'_> {
     }
 
     fn given<T>(&self, value: Option<T>, key: &str) -> Result<T> {
-        value.ok_or_else(|| self.source.wrong(key, "it to be given"))
+        value.ok_or_else(|| self.source.missing(key))
     }
 
     fn frames(&self, table: &ScanTable) -> Result<u32> {

@@ -4,12 +4,14 @@ use super::accuracy::PlanTable;
 use super::file::{PartTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
+use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::laser::Laser;
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{self, Mesh, Watch, shapes};
+use crate::mesh::shapes::{self, WrongSize};
+use crate::mesh::{self, Mesh, Watch};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::speckle::pattern;
@@ -55,6 +57,8 @@ pub struct Scene {
     pub part: String,
     #[serde(skip)]
     pub mesh: Mesh,
+    /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
+    pub mesh_unit: Option<Unit>,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
     /// as their number.
     #[serde(serialize_with = "number")]
@@ -191,7 +195,6 @@ impl Resolver<'_> {
             "part.rotation_deg",
             "angles from -360 to 360",
         )?;
-        let rotation = DVec3::from(rotation).map(f64::to_radians);
         let position = self.lengths(file.part.position_mm, "part.position_mm")?;
         let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
@@ -224,9 +227,13 @@ impl Resolver<'_> {
             methods,
             part,
             mesh,
+            mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
             copies,
             surface: Lambert { reflectance },
-            part_at_rest: Rigid::from_euler_xyz(rotation, position.into()),
+            part_at_rest: Rigid::from_euler_xyz(
+                DVec3::from(rotation).map(f64::to_radians),
+                position.into(),
+            ),
             laser,
             head_from_laser,
             camera,
@@ -303,9 +310,12 @@ impl Resolver<'_> {
             "part",
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
-        let shape = |key: &str, shape: std::result::Result<Mesh, String>| match shape {
+        let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
             Ok(mesh) => Ok((mesh, Vec::new())),
-            Err(expected) => Err(self.source.wrong(key, &expected)),
+            Err(wrong) => {
+                let key = format!("{table}.{}", wrong.argument);
+                Err(self.source.wrong(&key, &wrong.expected))
+            }
         };
         if let Some(table) = &part.mesh {
             let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
@@ -323,7 +333,7 @@ impl Resolver<'_> {
             return Ok((mesh, hash));
         }
         if let Some(table) = &part.plane {
-            return shape("part.plane.size_mm", shapes::plane(table.size_mm.into()));
+            return shape("part.plane", shapes::plane(table.size_mm.into()));
         }
         if let Some(table) = &part.sphere {
             let chord = table.chord_um * 1e-3;

@@ -1,0 +1,104 @@
+//! How the program says that it cannot do what was asked.
+
+use crate::error::{Error, Place, printable};
+use serde::Serialize;
+use std::io::Write;
+use std::path::Path;
+
+/// An error as `--json` gives it, below the key `error`.
+#[derive(Serialize)]
+struct Complaint<'a> {
+    message: &'a str,
+    exit_code: u8,
+    #[serde(flatten)]
+    place: Option<InFile<'a>>,
+}
+
+#[derive(Serialize)]
+struct InFile<'a> {
+    file: &'a Path,
+    /// From 1.
+    line: Option<usize>,
+    /// From 0.
+    byte: Option<u64>,
+    key: Option<&'a str>,
+    /// `null`: the key is missing.
+    found: Option<&'a str>,
+    expected: &'a str,
+    hint: Option<&'a str>,
+}
+
+/// How a command's errors are said.
+#[derive(Clone, Copy)]
+pub struct Complaints {
+    /// For programs too.
+    pub json: bool,
+    /// The command can go on where it was interrupted.
+    pub resumable: bool,
+}
+
+impl Complaints {
+    /// An error: one line on stderr for people, and with `json` one object on stdout for
+    /// programs. A stream that is closed must not hide the exit code.
+    pub fn say(self, error: &Error) {
+        let next = match error {
+            Error::Interrupted if self.resumable => {
+                "; run the same command with --resume to go on after the last finished frame: without \
+             --resume it starts anew and replaces them all"
+            }
+            Error::Interrupted => "; run the same command again: it starts anew",
+            _ => "",
+        };
+        let message = format!("{error}{next}");
+        super::say(&message);
+        if self.json {
+            let place = match error {
+                Error::Input(wrong) => Some(InFile {
+                    file: &wrong.file,
+                    line: match wrong.place {
+                        Place::Line(line) => Some(line),
+                        _ => None,
+                    },
+                    byte: match wrong.place {
+                        Place::Byte(byte) => Some(byte),
+                        _ => None,
+                    },
+                    key: wrong.key.as_deref(),
+                    found: Some(wrong.found.as_str()).filter(|found| !found.is_empty()),
+                    expected: &wrong.expected,
+                    hint: wrong.hint.as_deref(),
+                }),
+                _ => None,
+            };
+            print(&Complaint {
+                message: &message,
+                exit_code: error.exit_code(),
+                place,
+            });
+        }
+    }
+}
+
+/// A mistake on the command line, with the usage; with `--json` among the arguments, which
+/// could not be parsed, its first line as an object too.
+pub fn complain_of_usage(error: &clap::Error) {
+    let _ = error.print();
+    if std::env::args_os().any(|argument| argument == "--json") {
+        let text = error.to_string();
+        let message = text.lines().next().unwrap_or_default();
+        print(&Complaint {
+            message: message.trim_start_matches("error: "),
+            exit_code: 64,
+            place: None,
+        });
+    }
+}
+
+fn print(complaint: &Complaint) {
+    let object = serde_json::json!({ "error": complaint });
+    let _ = writeln!(
+        std::io::stdout(),
+        "{}",
+        printable::json(&object.to_string())
+    );
+}
