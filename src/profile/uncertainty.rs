@@ -3,25 +3,14 @@
 
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
-use super::influence::{bias, influence};
+use super::horizon::{UNSAID, offsets};
+use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
+use super::variances::{SpeckleGrain, Variances, covariances, variances};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder, WEAK_SNR};
-use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::pixel_covariance;
-
-/// Speckle of the light on the sensor.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpeckleGrain {
-    /// Minimal speckle size h = λ·d_PI/D, px.
-    pub size_px: f64,
-    /// Contrast of the light before pixels integrate it; below 1 if it is
-    /// depolarised or of several wavelengths.
-    pub contrast: f64,
-    pub aperture: Aperture,
-}
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -34,13 +23,6 @@ pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 /// Narrowest line for finders other than the centroid, whose bias is not known below.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
-/// Grains smaller than the first, px, on a line narrower than the second: the line
-/// does not light its outer pixels evenly and averages fewer grains there than the
-/// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
-/// added.
-pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
-const FINE_GRAIN_VARIANCE: f64 = 0.15;
-
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
 /// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
@@ -56,6 +38,8 @@ pub struct RowError {
     /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
     /// in which one at 45° would cut it.
     pub beside_edge: bool,
+    /// Rows a column that the line climbs, 0 where it ends or jumps.
+    pub slope: f64,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -68,8 +52,8 @@ pub struct RowError {
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with ρ the covariance of the light of two square pixels
-/// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
+/// with ρ the covariance of the light of two parts of pixels
+/// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
 /// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
@@ -85,8 +69,6 @@ pub struct RowError {
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    /// Whether grains are fine beside a pixel.
-    fine: bool,
     /// Relative variance of the light of a pixel.
     pixel_variance: f64,
     cuts: Cuts,
@@ -95,34 +77,19 @@ pub struct ErrorModel {
     nodes: Vec<Variances>,
 }
 
-/// Variances of the row of a line of one width, px².
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Variances {
-    speckle: f64,
-    /// Over K/N.
-    shot: f64,
-    /// Over (s/N)².
-    white: f64,
-    /// Relative, of the line's light, from speckle.
-    light: f64,
-}
-
 impl ErrorModel {
     /// `gain_dn_per_e`: counts per electron, 0 for light without shot noise.
     pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
-        let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
+        let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain, 1));
         let (least, most) = SIGMAS_PX;
         let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
         ErrorModel {
             finder,
             gain_dn_per_e,
-            fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
             pixel_variance: covariance[0],
             cuts: Cuts::new(variance_of_mean(&covariance)),
             clipping: Clipping::new(covariance[0]),
-            nodes: (0..NODES)
-                .map(|i| Variances::of(finder, sigma(i), &covariance))
-                .collect(),
+            nodes: variances(finder, grain, (0..NODES).map(sigma)),
         }
     }
 
@@ -138,7 +105,8 @@ impl ErrorModel {
     /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
     /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
     /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
-    /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
+    /// because an edge cuts them: what is stated holds for them. Sets [`Flags::EDGE`] where one may cut
+    /// the line unseen ([`offsets`]). `peaks` are those of one frame,
     /// in the order of its `columns`; a line's width is that of its neighbourhood, as one column's
     /// is mostly speckle, and that of its climb.
     pub fn row_errors(&self, peaks: &mut [Peak], columns: usize) -> Vec<RowError> {
@@ -149,6 +117,7 @@ impl ErrorModel {
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
         let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
+        let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
@@ -159,7 +128,9 @@ impl ErrorModel {
             if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
                 peak.flags.remove(Flags::WEAK);
             }
-            let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
+            // Whether an edge is near is for neighbouring frames to say.
+            let other = Flags::OUTSIDE | Flags::EDGE;
+            let inside = peak.flags.difference(other).is_empty()
                 && expected.is_some()
                 && self.is_valid(sigma, lights[i]);
             peak.flags.set(Flags::OUTSIDE, !inside);
@@ -167,9 +138,14 @@ impl ErrorModel {
             let variance = self.variance(peak, sigma, climb, &clipped[i]);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
+            let sigma = (uncut + cut).sqrt();
+            if unseen[i] > UNSAID * sigma {
+                peak.flags.insert(Flags::EDGE);
+            }
             RowError {
-                sigma: (uncut + cut).sqrt(),
+                sigma,
                 beside_edge: near_ends[i] || cut > uncut,
+                slope: runs[i].slope,
             }
         };
         (0..sigmas.len()).map(of).collect()
@@ -214,11 +190,7 @@ impl ErrorModel {
     fn variance(&self, peak: &Peak, sigma: f64, climb: f64, clipped: &Clipped) -> f64 {
         let at = self.at(sigma);
         let n = peak.intensity;
-        let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
-            true => FINE_GRAIN_VARIANCE,
-            false => 0.0,
-        };
-        let shape = 1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
+        let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + at.shot * self.gain_dn_per_e / n
             + at.white * (peak.noise / n).powi(2)
@@ -242,15 +214,18 @@ impl ErrorModel {
 }
 
 /// Whether the line, so wide, ends so near to each peak that an edge there may cut it. At the
-/// sensor's border it does not end.
+/// sensor's border, on any side, it does not end.
 fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     let mut near = Vec::with_capacity(peaks.len());
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
-        let (first, last) = (run[0].column, run[run.len() - 1].column);
+        let ends = [run[0], run[run.len() - 1]];
+        let (first, last) = (ends[0].column, ends[1].column);
+        let [begins, ends] = ends.map(|peak| !peak.flags.contains(Flags::BORDER));
         for peak in run {
             let reach = columns_cut(sigmas[near.len()]);
-            let before = first > 0 && f64::from(peak.column - first) <= reach;
-            let after = (last as usize + 1) < columns && f64::from(last - peak.column) <= reach;
+            let before = first > 0 && begins && f64::from(peak.column - first) <= reach;
+            let after =
+                (last as usize + 1) < columns && ends && f64::from(last - peak.column) <= reach;
             near.push(before || after);
         }
     }
@@ -265,16 +240,6 @@ fn bend_variance(run: &Run, variance: f64) -> f64 {
     (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
-/// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
-/// a thousandth of it all: ∫μ² beyond r falls as (h/r)²/60.
-fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
-    let lags = (8.0 * grain.size_px).ceil().min(512.0) as usize + 1;
-    let covariance = |lag| {
-        grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
-    };
-    (0..=lags).map(covariance).collect()
-}
-
 /// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one; without
 /// speckle as if each varied by itself.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
@@ -287,32 +252,10 @@ fn variance_of_mean(covariance: &[f64]) -> f64 {
     (n as f64 + pairs / at(0)) / (n * n) as f64
 }
 
-impl Variances {
-    /// Mean over a line at a pixel's middle and one at its edge.
-    fn of(finder: PeakFinder, sigma: f64, covariance: &[f64]) -> Variances {
-        let mut sum = Variances::default();
-        for row in [0.0, 0.5] {
-            let pixels = influence(finder, sigma, row);
-            for &(light, weight) in &pixels {
-                sum.shot += weight * weight * light / 2.0;
-                sum.white += weight * weight / 2.0;
-            }
-            for (lag, c) in covariance.iter().enumerate().take(pixels.len()) {
-                // Both signs of a lag.
-                let c = if lag == 0 { c / 2.0 } else { *c };
-                for (a, b) in pixels.iter().zip(&pixels[lag..]) {
-                    sum.speckle += c * a.0 * a.1 * b.0 * b.1;
-                    sum.light += c * a.0 * b.0;
-                }
-            }
-        }
-        sum
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::speckle::pattern::Aperture;
     use crate::speckle::theory::centroid_noise;
     use std::f64::consts::PI;
 

@@ -54,19 +54,19 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
-/// Covariance of the light of two square pixels of pitch p = q·h that lie `lag`
-/// pixels apart along the pupil's height, for fully developed speckle of mean 1:
-/// ∬Λ(x)Λ(y − lag)·μ²(qx, qy) dx dy; at no lag the square of
-/// [`integrated_contrast`]. By the same quadrature; past 16 grains a pixel it is
-/// that of 16, falling as 1/q², which is 2 % of it off.
-pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
+/// Covariance of the light of two strips of pixels of pitch p = q·h, each a pixel wide and `high`
+/// pixels high, that lie `lag` pixels apart along the pupil's height, for fully developed speckle
+/// of mean 1: ∬Λ(x)Λ((y − lag)/high)/high·μ²(qx, qy) dx dy with Λ(x) = 1 − |x| within ±1; of whole
+/// pixels at no lag the square of [`integrated_contrast`]. By the same quadrature; past 16 grains
+/// a pixel it is that of 16, falling as 1/q², which is 2 % of it off for whole pixels.
+pub fn strip_covariance(aperture: Aperture, q: f64, high: f64, lag: f64) -> f64 {
     let fine = q.min(16.0);
     let nodes = panels((2.0 * fine).ceil().max(2.0) as usize);
     let along = nodes.iter().flat_map(|&(y, w)| [(y, w), (-y, w)]);
     let covariance: f64 = along
         .flat_map(|y| nodes.iter().map(move |&x| (x, y)))
         .map(|((x, wx), (y, wy))| {
-            let mu = aperture.field_correlation(fine * DVec2::new(x, y + lag));
+            let mu = aperture.field_correlation(fine * DVec2::new(x, y * high + lag));
             2.0 * wx * wy * (1.0 - x) * (1.0 - y.abs()) * mu * mu
         })
         .sum();
@@ -194,13 +194,13 @@ mod tests {
         for aperture in [Aperture::Circle, Aperture::Square] {
             for q in [0.3, 1.0, 3.0] {
                 let contrast = integrated_contrast(aperture, q);
-                let none = pixel_covariance(aperture, q, 0.0);
+                let none = strip_covariance(aperture, q, 1.0, 0.0);
                 assert!((none / contrast.powi(2) - 1.0).abs() < 1e-9, "{q}");
             }
         }
         for q in [0.5, 1.0] {
             let sum: f64 = (-200..=200)
-                .map(|lag| pixel_covariance(Aperture::Square, q, lag as f64))
+                .map(|lag| strip_covariance(Aperture::Square, q, 1.0, lag as f64))
                 .sum();
             let across: f64 = gauss_legendre(4)
                 .iter()
