@@ -238,18 +238,11 @@ fn finish(
 ) -> Result<ScanSummary> {
     let scene = simulation.scene;
     let (mut points, blurred_share) = points_of(journal)?;
+    simulation.compare_frames(frames.clone(), &mut points);
     let alignment = align(simulation, &mut points);
     control.check()?;
-    let poses: Vec<HeadPose> = frames
-        .clone()
-        .map(|frame| {
-            let part_from_head = scene.part_from_head(frame);
-            HeadPose {
-                part_from_laser: part_from_head * scene.head_from_laser,
-                part_from_camera: part_from_head * scene.head_from_camera,
-            }
-        })
-        .collect();
+    let poses = frames.clone().map(|frame| simulation.head_pose(frame));
+    let poses: Vec<HeadPose> = poses.collect();
     let coverage = coverage(&Scanned {
         accel: &simulation.accel,
         laser: &scene.laser,

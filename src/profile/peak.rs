@@ -59,7 +59,9 @@ bitflags! {
         /// or an edge along the line leaves a tail of it, narrower than
         /// [`super::NARROW_RATIO`] of the lines around, or these than that of what is
         /// expected. Taken back where there are whole lines to compare with: what an edge
-        /// does is then in the uncertainty.
+        /// does is then in the uncertainty. Set of lines so dark and narrow beside the frame's
+        /// brightest stretch that an edge may have moved them further than is stated. In a cloud,
+        /// taken back where neighbouring frames show that the surface goes on.
         const EDGE = 1 << 5;
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.

@@ -3,14 +3,14 @@
 
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
+use super::horizon::{UNSAID, offsets};
 use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
-use super::variances::{Places, SpeckleGrain, Variances, covariances};
+use super::variances::{Places, SpeckleGrain, Variances, along_row};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder, WEAK_SNR};
-use crate::math::DVec2;
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -23,13 +23,6 @@ pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 /// Narrowest line for finders other than the centroid, whose bias is not known below.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
-/// Grains smaller than the first, px, on a line narrower than the second: the line
-/// does not light its outer pixels evenly and averages fewer grains there than the
-/// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
-/// added.
-pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
-const FINE_GRAIN_VARIANCE: f64 = 0.15;
-
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
 /// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
@@ -43,6 +36,8 @@ pub struct RowError {
     /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
     /// in which one at 45° would cut it.
     pub beside_edge: bool,
+    /// Rows a column that the line climbs, 0 where it ends or jumps.
+    pub slope: f64,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -55,8 +50,9 @@ pub struct RowError {
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with ρ the covariance of the light of two pixels of the column, under grains as long and wide
-/// as they are there ([`pixel_covariance`](crate::speckle::theory::pixel_covariance)), and b the greatest bias of the finder (GUM 4.3.7). For
+/// with ρ the covariance of the light of two parts of pixels of the column
+/// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
+/// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
 /// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
@@ -73,7 +69,6 @@ pub struct RowError {
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    grain: Option<SpeckleGrain>,
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
@@ -84,12 +79,11 @@ impl ErrorModel {
     pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
         let columns = grain.map_or(vec![0.0], |grain| {
             let middle = grain.resolution.as_dvec2() / 2.0;
-            covariances(&grain, middle, DVec2::X, 2 * BESIDE + 1)
+            along_row(&grain, middle, 2 * BESIDE + 1)
         });
         ErrorModel {
             finder,
             gain_dn_per_e,
-            grain,
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
@@ -108,7 +102,8 @@ impl ErrorModel {
     /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
     /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
     /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
-    /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
+    /// because an edge cuts them: what is stated holds for them. Sets [`Flags::EDGE`] where one may cut
+    /// the line unseen ([`offsets`]). `peaks` are those of one frame,
     /// in the order of its `columns`; a line's width is that of its neighbourhood, as one column's
     /// is mostly speckle, and that of its climb.
     pub fn row_errors(&self, peaks: &mut [Peak], columns: usize) -> Vec<RowError> {
@@ -122,6 +117,7 @@ impl ErrorModel {
         let variances: Vec<Variances> = lined.collect();
         let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
         let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
+        let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
@@ -132,7 +128,9 @@ impl ErrorModel {
             if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
                 peak.flags.remove(Flags::WEAK);
             }
-            let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
+            // Whether an edge is near is for neighbouring frames to say.
+            let other = Flags::OUTSIDE | Flags::EDGE;
+            let inside = peak.flags.difference(other).is_empty()
                 && expected.is_some()
                 && self.is_valid(sigma, &variances[i]);
             peak.flags.set(Flags::OUTSIDE, !inside);
@@ -140,9 +138,14 @@ impl ErrorModel {
             let variance = self.variance(peak, sigma, climb, &variances[i], &clipped[i]);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
+            let sigma = (uncut + cut).sqrt();
+            if unseen[i] > UNSAID * sigma {
+                peak.flags.insert(Flags::EDGE);
+            }
             RowError {
-                sigma: (uncut + cut).sqrt(),
+                sigma,
                 beside_edge: near_ends[i] || cut > uncut,
+                slope: runs[i].slope,
             }
         };
         (0..sigmas.len()).map(of).collect()
@@ -193,12 +196,7 @@ impl ErrorModel {
         clipped: &Clipped,
     ) -> f64 {
         let n = peak.intensity;
-        let is_fine = |grain: SpeckleGrain| grain.along_column_px(peak.place()) < FINE_GRAIN_PX.0;
-        let uneven = match sigma < FINE_GRAIN_PX.1 && self.grain.is_some_and(is_fine) {
-            true => FINE_GRAIN_VARIANCE,
-            false => 0.0,
-        };
-        let shape = 1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
+        let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + at.shot * self.gain_dn_per_e / n
             + at.white * (peak.noise / n).powi(2)
@@ -207,15 +205,18 @@ impl ErrorModel {
 }
 
 /// Whether the line, so wide, ends so near to each peak that an edge there may cut it. At the
-/// sensor's border it does not end.
+/// sensor's border, on any side, it does not end.
 fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     let mut near = Vec::with_capacity(peaks.len());
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
-        let (first, last) = (run[0].column, run[run.len() - 1].column);
+        let ends = [run[0], run[run.len() - 1]];
+        let (first, last) = (ends[0].column, ends[1].column);
+        let [begins, ends] = ends.map(|peak| !peak.flags.contains(Flags::BORDER));
         for peak in run {
             let reach = columns_cut(sigmas[near.len()]);
-            let before = first > 0 && f64::from(peak.column - first) <= reach;
-            let after = (last as usize + 1) < columns && f64::from(last - peak.column) <= reach;
+            let before = first > 0 && begins && f64::from(peak.column - first) <= reach;
+            let after =
+                (last as usize + 1) < columns && ends && f64::from(last - peak.column) <= reach;
             near.push(before || after);
         }
     }

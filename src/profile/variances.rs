@@ -2,12 +2,12 @@
 //! the sensor.
 
 use super::PeakFinder;
-use super::influence::influence;
+use super::influence::{influence, shares};
 use super::uncertainty::SIGMAS_PX;
 use crate::camera::ChiefRays;
 use crate::math::DVec2;
 use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::pixel_covariance;
+use crate::speckle::theory::strip_covariance;
 use glam::{DMat2, UVec2};
 use rayon::prelude::*;
 
@@ -76,7 +76,7 @@ impl Places {
             return Places {
                 step: DVec2::ONE,
                 count: [1, 1],
-                nodes: vec![widths(finder, &[0.0])],
+                nodes: vec![widths(finder, |_| vec![0.0])],
             };
         };
         let size = grain.resolution.as_dvec2();
@@ -91,8 +91,7 @@ impl Places {
         let count = cells.map(|cells| cells + 1);
         let node = |i: usize| {
             let place = step * DVec2::new((i % count[0]) as f64, (i / count[0]) as f64);
-            let lags = (8.0 * grain.along_column_px(place)).ceil().min(512.0) as usize + 1;
-            widths(finder, &covariances(grain, place, DVec2::Y, lags + 1))
+            widths(finder, |parts| covariances(grain, place, parts))
         };
         Places {
             step,
@@ -125,31 +124,63 @@ impl Places {
     }
 }
 
-fn widths(finder: PeakFinder, covariance: &[f64]) -> Widths {
+/// `covariances`: of the light of parts of pixels that have so many each.
+fn widths(finder: PeakFinder, covariances: impl Fn(usize) -> Vec<f64>) -> Widths {
     let (least, most) = SIGMAS_PX;
     let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
-    std::array::from_fn(|i| Variances::of(finder, sigma(i), covariance))
+    let pixel = covariances(1)[0];
+    let mut known = (0, Vec::new());
+    std::array::from_fn(|i| {
+        let parts = parts(sigma(i));
+        if known.0 != parts {
+            known = (parts, covariances(parts));
+        }
+        Variances::of(finder, sigma(i), parts, pixel, &known.1)
+    })
 }
 
-/// Covariance of the light of pixels 0, 1, … steps apart about a place. Beyond r = 8 h
-/// a thousandth of it all is left: ∫μ² falls as (h/r)²/60.
-pub(super) fn covariances(
-    grain: &SpeckleGrain,
-    place: DVec2,
-    step: DVec2,
-    count: usize,
-) -> Vec<f64> {
+/// Parts into which a pixel's height is divided so that a line of σ lights each all but evenly.
+/// Of the mean square of light, a part s·σ high leaves out s²/12·(dG/dx)²/G², s²/24 on average
+/// over the line; of σ/4 that is 0.3 %.
+fn parts(sigma: f64) -> usize {
+    (4.0 / sigma).ceil() as usize
+}
+
+/// Covariance of the light of parts 0, 1, … apart of the pixels of a column about a place, which
+/// have so many each, until what is left is below a thousandth of it all, as ∫μ² beyond r falls
+/// as (h/r)²/60, or past what any line of that many parts lights.
+fn covariances(grain: &SpeckleGrain, place: DVec2, parts: usize) -> Vec<f64> {
+    let most = if parts > 1 { 64.0 } else { 512.0 };
+    let along = grain.along_column_px(place) * parts as f64;
+    let lags = (8.0 * along).ceil().min(most) as usize + 1;
+    let high = 1.0 / parts as f64;
     let grains = grain.grains_per_pixel(place);
-    let covariance = |lag| pixel_covariance(grain.aperture, grains, step * lag as f64);
+    let covariance = |lag: usize| {
+        let lag = DVec2::Y * (lag as f64 * high);
+        grain.contrast.powi(2) * strip_covariance(grain.aperture, grains, high, lag)
+    };
+    (0..=lags).map(covariance).collect()
+}
+
+/// Covariance of the light of pixels 0, 1, … columns apart about a place.
+pub(super) fn along_row(grain: &SpeckleGrain, place: DVec2, count: usize) -> Vec<f64> {
+    let grains = grain.grains_per_pixel(place);
+    let covariance = |lag| strip_covariance(grain.aperture, grains, 1.0, DVec2::X * lag as f64);
     let of = |lag| grain.contrast.powi(2) * covariance(lag);
     (0..count).map(of).collect()
 }
 
 impl Variances {
-    /// Mean over a line at a pixel's middle and one at its edge.
-    fn of(finder: PeakFinder, sigma: f64, covariance: &[f64]) -> Variances {
+    /// Mean over a line at a pixel's middle and one at its edge; `covariance` is that of parts.
+    fn of(
+        finder: PeakFinder,
+        sigma: f64,
+        parts: usize,
+        pixel: f64,
+        covariance: &[f64],
+    ) -> Variances {
         let mut sum = Variances {
-            pixel: covariance[0],
+            pixel,
             ..Variances::default()
         };
         for row in [0.0, 0.5] {
@@ -158,10 +189,13 @@ impl Variances {
                 sum.shot += weight * weight * light / 2.0;
                 sum.white += weight * weight / 2.0;
             }
-            for (lag, c) in covariance.iter().enumerate().take(pixels.len()) {
+            // A part moves the finder as its pixel does.
+            let weights = pixels.iter().flat_map(|p| std::iter::repeat_n(p.1, parts));
+            let parts: Vec<(f64, f64)> = shares(sigma, row, parts).zip(weights).collect();
+            for (lag, c) in covariance.iter().enumerate().take(parts.len()) {
                 // Both signs of a lag.
                 let c = if lag == 0 { c / 2.0 } else { *c };
-                for (a, b) in pixels.iter().zip(&pixels[lag..]) {
+                for (a, b) in parts.iter().zip(&parts[lag..]) {
                     sum.speckle += c * a.0 * a.1 * b.0 * b.1;
                     sum.light += c * a.0 * b.0;
                 }

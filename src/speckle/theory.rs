@@ -57,15 +57,22 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
-/// Covariance of the light of two pixels that lie `lag` (columns, rows) apart, for fully
-/// developed speckle of mean 1: ∬Λ(x)Λ(y)·μ²(G·((x, y) + lag)) dx dy, G the grains by
-/// column and by row, in the pupil's axes
-/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)); for G = q·1 and
-/// no lag the square of [`integrated_contrast`]. By Gauss–Legendre quadrature with panels of eight nodes
-/// for half a grain each; past 16 grains a pixel it is
-/// that of 16, falling with their number, which is 2 % of it off.
+/// Covariance of the light of two pixels that lie `lag` (columns, rows) apart: of two
+/// [strips](strip_covariance) as high as pixels.
 pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
-    let across = [grains.x_axis, grains.y_axis].map(|axis| axis.length());
+    strip_covariance(aperture, grains, 1.0, lag)
+}
+
+/// Covariance of the light of two strips of pixels, each a pixel wide and `high` pixels high,
+/// that lie `lag` (columns, rows) apart, for fully developed speckle of mean 1:
+/// ∬Λ(x)Λ(y)·μ²(G·((x, high·y) + lag)) dx dy with Λ(x) = 1 − |x| within ±1, G the grains by
+/// column and by row, in the pupil's axes
+/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)); for whole pixels,
+/// G = q·1 and no lag the square of [`integrated_contrast`]. By Gauss–Legendre quadrature with
+/// panels of eight nodes for half a grain each; past 16 grains a side it is that of 16, falling
+/// with their number, which is 2 % of it off for whole pixels.
+pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2) -> f64 {
+    let across = [grains.x_axis.length(), grains.y_axis.length() * high];
     let share = (16.0 / across[0].max(across[1])).min(1.0);
     let both_sides = |grains: f64| {
         let nodes = panels((2.0 * share * grains).ceil().max(1.0) as usize);
@@ -76,7 +83,8 @@ pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
     let [columns, rows] = across.map(both_sides);
     let of_row = |&(y, wy): &(f64, f64)| {
         let row = columns.iter().map(|&(x, wx)| {
-            let mu = aperture.field_correlation(share * (grains * (DVec2::new(x, y) + lag)));
+            let place = DVec2::new(x, high * y) + lag;
+            let mu = aperture.field_correlation(share * (grains * place));
             wx * mu * mu
         });
         wy * row.sum::<f64>()
