@@ -6,6 +6,9 @@ use lasertrace::profile::Flags;
 use lasertrace::scene::Scene;
 
 mod program;
+mod random;
+
+use random::Random;
 
 /// A line of σ ≈ 4 px on grains of 1.6 px, twelve of them across the line, with shot
 /// and read noise; so dim that no grain saturates.
@@ -65,10 +68,13 @@ fn points(mut scene: Scene, seeds: u64) -> Vec<CloudPoint> {
     for seed in 1..=seeds {
         scene.seed = seed;
         let simulation = Simulation::new(&scene).unwrap();
+        let mut taken = Vec::new();
         for frame in 0..scene.scan.frames {
             let counts = simulation.counts(frame, &simulation.irradiance(frame));
-            points.extend(simulation.measure(frame, &counts).1);
+            taken.extend(simulation.measure(frame, &counts).1);
         }
+        simulation.compare_frames(0..scene.scan.frames, &mut taken);
+        points.append(&mut taken);
     }
     points
 }
@@ -122,14 +128,16 @@ fn intervals_of_95_percent_hold_the_truth_of_plane_and_sphere() {
 }
 
 /// The corners of the domain: lines of few pixels, of few grains and of fine grain. The
-/// rms is off by the second order of the centroid's ratio, by less than 5 %: errors as
-/// much smaller or larger than predicted give a coverage of 96.1 or 93.8 %. Grains of 7 px
+/// rms is less than predicted by the second order of the centroid's ratio: of n equal grains,
+/// whose shares of the light have Dirichlet's distribution, by 1/√(1 + 1/n), 0.82 for two;
+/// unequal ones less. It is not more, but for 5 % of the law. Coverage is to be that of errors
+/// 5 % smaller or larger than predicted, 96.1 or 93.8 %. Grains of 7 px
 /// make 13 000 independent points of 110 592; three standard errors of 0.2 % lie on top.
 #[test]
 fn intervals_hold_the_truth_up_to_the_domains_edges() {
     for (waist_um, f_number, exposure_ms) in [
         (20.0, 5.6, 0.01),
-        (25.0, 11.0, 0.03),
+        (25.0, 9.0, 0.02),
         (43.0, 2.8, 0.004),
         (120.0, 36.0, 0.45),
     ] {
@@ -147,7 +155,7 @@ fn intervals_hold_the_truth_up_to_the_domains_edges() {
         println!("{text}");
         assert!(found.unflagged > 0.9, "{text}");
         assert!((0.932..=0.967).contains(&found.coverage), "{text}");
-        assert!((found.rms - 1.0).abs() < 0.05, "{text}");
+        assert!((0.82..1.05).contains(&found.rms), "{text}");
     }
 }
 
@@ -164,6 +172,44 @@ fn intervals_hold_the_truth_on_slopes() {
         println!("{text}");
         assert!(found.points > 10_000, "{text}");
         assert!((0.935..=0.965).contains(&found.coverage), "{text}");
+    }
+}
+
+/// Planes seen at 60, 70, 80 and 85° from their normal, and three drawn from a seed that are also
+/// turned about the scan's direction: errors are as large as stated, and EDGE is on no point but
+/// where the line or the scan ends. The centroid's law is good to 5 %; 13 824 points, 2 500 of them
+/// independent, give the rms a standard error of 1.4 % and the coverage one of 0.45 %, three of
+/// which lie on top.
+#[test]
+fn intervals_hold_the_truth_at_grazing_views() {
+    let mut random = Random::new(7);
+    let turned = (0..3).map(|_| [random.between(-40.0, -15.0), random.between(-12.0, 12.0)]);
+    let tilted = [-15.0, -25.0, -35.0, -40.0].map(|about_x| [about_x, 0.0]);
+    for [x, y] in tilted.into_iter().chain(turned) {
+        let part = format!("plane = {{ size_mm = [40, 80] }}\nrotation_deg = [{x}, {y}, 0]");
+        let mut scene = scene(&part, [-1.8, 0.1], "centroid", true);
+        scene.laser.beam.waist_radius = 0.2;
+        let points = points(scene, 1);
+        let found = errors(&points, |p| p.deviation);
+        let text = format!(
+            "{x:.1}°, {y:.1}°: {} points, {}, {}",
+            found.points, found.coverage, found.rms
+        );
+        println!("{text}");
+        assert!((found.rms - 1.0).abs() < 0.09, "{text}");
+        assert!((0.924..=0.975).contains(&found.coverage), "{text}");
+        // Two beam radii are four frames; one more for the beam's own spread.
+        let inner = |p: &&CloudPoint| (5..31).contains(&p.frame) && (1..383).contains(&p.column);
+        let share = |suspected: &dyn Fn(&CloudPoint) -> bool| {
+            let inner = points.iter().filter(inner);
+            inner.filter(|p| suspected(p)).count() as f64 / points.len() as f64
+        };
+        // A point with another flag leaves the two beside it and the two of its column, in the
+        // frames before and after, without a neighbour; and one in a million lies further off
+        // its neighbours' line than 4.9 of its standard deviations.
+        let other = share(&|p| !p.flags.difference(Flags::EDGE | Flags::OUTSIDE).is_empty());
+        let edges = share(&|p| p.flags.contains(Flags::EDGE));
+        assert!(edges <= 5.0 * other + 1e-3, "{text}: {edges} {other}");
     }
 }
 

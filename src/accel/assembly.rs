@@ -6,9 +6,10 @@ use super::hierarchy::{Backend, Hierarchy};
 use super::{Clusters, Face, Found, HalfSpace, Hit, Nearest, Ray, WIDTH};
 use crate::error::Result;
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{Mesh, Watch, memory};
+use crate::mesh::{Mesh, Shell, Watch, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
+use std::sync::OnceLock;
 
 /// Bounding-volume hierarchy over a part: a mesh or copies of it. All points, rays
 /// and planes are in the part's frame, in which the copies are posed.
@@ -16,6 +17,8 @@ pub struct Accel<'m> {
     hierarchy: Hierarchy<'m>,
     /// `None`: the mesh itself, unmoved.
     copies: Option<Copies<'m>>,
+    /// Made when it is first asked for; `None`: the mesh has no inside.
+    shell: OnceLock<Option<Shell>>,
 }
 
 /// What a ray has met so far.
@@ -45,6 +48,7 @@ impl<'m> Accel<'m> {
         Ok(Accel {
             hierarchy: Hierarchy::build(backend, mesh, threads, watch)?,
             copies: None,
+            shell: OnceLock::new(),
         })
     }
 
@@ -258,6 +262,23 @@ impl<'m> Accel<'m> {
             best.distance
         });
         best
+    }
+
+    /// The way out of the part at a point of a face, any length: the part of its surface to
+    /// which the face belongs has a point outside it, whose nearest point this is, on that
+    /// side (see [`Shell::outward`]). `None` where the mesh is open or wound both ways, so
+    /// that it has no inside.
+    pub fn outward(&self, face: Face, point: DVec3) -> Option<DVec3> {
+        let shell = self.shell.get_or_init(|| Shell::of(self.mesh())).as_ref()?;
+        let outward = |point| shell.outward(self.mesh(), face.triangle, point);
+        let normal = match &self.copies {
+            None => outward(point),
+            Some(copies) => {
+                let pose = &copies.poses()[face.copy as usize];
+                pose.vector(outward(pose.inverse().point(point)))
+            }
+        };
+        (normal != DVec3::ZERO).then_some(normal)
     }
 
     /// Reports every triangle that may touch all of `volume` (at most 32 half-spaces),

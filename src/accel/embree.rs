@@ -11,6 +11,7 @@ use crate::math::DVec3;
 use crate::mesh::{Mesh, Watch};
 use rayon::prelude::*;
 use std::ffi::c_void;
+use std::mem::MaybeUninit;
 use std::sync::Mutex;
 
 /// Embree's scene of one mesh.
@@ -115,12 +116,14 @@ impl<'m> Tree<'m> {
             mesh,
             quads,
         };
-        // SAFETY: Embree allocated `3 * vertices` floats (4-byte aligned), zeroed or
-        // not, and no one else sees them before the commit. Writing through a slice
-        // of such plain numbers is fine.
-        let vertex_buffer = unsafe { std::slice::from_raw_parts_mut(vertex_buffer, 3 * vertices) };
-        (vertex_buffer.par_chunks_exact_mut(3).zip(&mesh.positions)).for_each(|(out, p)| {
-            out.copy_from_slice(&(*p - part.center).as_vec3().to_array());
+        // SAFETY: the scene was made, so the buffer is there: `vertices` times three
+        // floats, aligned to 4 bytes, that live as long as the scene and that no one else
+        // reads or writes before the commit. Embree need not have set them, and
+        // `MaybeUninit` says so.
+        let vertex_buffer: &mut [MaybeUninit<[f32; 3]>] =
+            unsafe { std::slice::from_raw_parts_mut(vertex_buffer.cast(), vertices) };
+        (vertex_buffer.par_iter_mut().zip(&mesh.positions)).for_each(|(out, p)| {
+            out.write((*p - part.center).as_vec3().to_array());
         });
         Ok(tree)
     }

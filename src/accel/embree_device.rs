@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use std::ffi::{CStr, CString, c_char, c_void};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 #[allow(
     dead_code,
@@ -43,8 +43,8 @@ fn error(code: ffi::RTCError, text: &str) -> Error {
 }
 
 unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
-    // SAFETY: `slot` is the boxed ErrorSlot given to lt_device_on_error, which
-    // lives as long as the device; `text` is NULL or a C string of Embree's.
+    // SAFETY: `slot` is the ErrorSlot given to lt_device_on_error, which lives as
+    // long as the device and is only read through shared references; `text` is NULL or a C string of Embree's.
     let (slot, text) = unsafe {
         let text = if text.is_null() {
             "no text".into()
@@ -61,7 +61,8 @@ pub(super) struct Device {
     pub(super) handle: ffi::RTCDevice,
     /// Rays that are traced together.
     pub(super) packet: u32,
-    error: Box<ErrorSlot>,
+    // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
+    error: Arc<ErrorSlot>,
 }
 
 impl Device {
@@ -78,10 +79,10 @@ impl Device {
         if handle.is_null() {
             return Err(error(code, "cannot start"));
         }
-        let slot = Box::new(ErrorSlot::default());
-        let user = &*slot as *const ErrorSlot as *mut c_void;
-        // SAFETY: the handle is a live device; the slot is boxed, so it stays
-        // where it is until `drop`, which releases the device first.
+        let slot = Arc::new(ErrorSlot::default());
+        let user = Arc::as_ptr(&slot) as *mut c_void;
+        // SAFETY: the handle is a live device; the slot stays where it is as long as
+        // the device holds it, which `drop` releases before the slot.
         let (header, library, packet) = unsafe {
             ffi::lt_device_on_error(handle, Some(record_error), user);
             let packet = ffi::lt_packet_width(handle);
@@ -150,7 +151,7 @@ mod tests {
     fn an_error_of_embree_becomes_an_error() {
         let device = Device::new(1).unwrap();
         assert!(device.check().is_ok());
-        let slot = &*device.error as *const ErrorSlot as *mut c_void;
+        let slot = Arc::as_ptr(&device.error) as *mut c_void;
         // SAFETY: the slot is alive and the text a C string.
         unsafe { record_error(slot, 4, c"out of memory".as_ptr()) };
         let error = device.check().unwrap_err();

@@ -8,6 +8,7 @@ use super::hierarchy::PartBox;
 use crate::error::Result;
 use crate::mesh::Mesh;
 use std::ffi::c_void;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicIsize, Ordering};
 
 /// A ray as all who race take it.
@@ -41,8 +42,8 @@ struct Memory {
 }
 
 unsafe extern "C" fn count_memory(memory: *mut c_void, bytes: isize, _done: bool) -> bool {
-    // SAFETY: `memory` is the boxed Memory of the BareEmbree whose device calls,
-    // which outlives the device.
+    // SAFETY: `memory` is the Memory of the BareEmbree whose device calls; it outlives
+    // the device, and many threads may read it, as it is of atomics.
     let memory = unsafe { &*(memory as *const Memory) };
     let now = memory.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
     memory.peak.fetch_max(now, Ordering::Relaxed);
@@ -53,17 +54,18 @@ unsafe extern "C" fn count_memory(memory: *mut c_void, bytes: isize, _done: bool
 pub struct BareEmbree<'m> {
     // Dropped before the memory it counts into.
     tree: Tree<'m>,
-    memory: Box<Memory>,
+    // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
+    memory: Arc<Memory>,
 }
 
 impl<'m> BareEmbree<'m> {
     /// Errors: what Embree reports.
     pub fn build(mesh: &'m Mesh, robust: bool, threads: usize) -> Result<BareEmbree<'m>> {
-        let memory = Box::new(Memory::default());
+        let memory = Arc::new(Memory::default());
         let device = Device::new(threads)?;
-        let user = &*memory as *const Memory as *mut c_void;
-        // SAFETY: the device is live, and the box stays where it is until after the
-        // device is released.
+        let user = Arc::as_ptr(&memory) as *mut c_void;
+        // SAFETY: the device is live, and the counts stay where they are until it is
+        // released: the tree that holds it is dropped first.
         unsafe { ffi::lt_device_on_memory(device.handle, Some(count_memory), user) };
         let mut part = PartBox::new(mesh.bounds());
         part.center = crate::math::DVec3::ZERO;

@@ -19,12 +19,13 @@ pub struct BvhBench {
 }
 
 /// Races on `mesh`, read from `path`, and writes `bench.json` and `bench.svg` to
-/// `out`.
+/// `out`; `forecast` is told how many seconds it takes at most, before it starts.
 pub fn bench_bvh(
     path: &Path,
     mesh: &Mesh,
     effort: Effort,
     out: &Path,
+    forecast: &dyn Fn(f64),
     control: &Control,
 ) -> Result<BvhBench> {
     files::create_folder(out)?;
@@ -35,7 +36,7 @@ pub fn bench_bvh(
     };
     let bench = BvhBench {
         mesh: path.to_owned(),
-        race: race::race(mesh, effort, &step)?,
+        race: race::race(mesh, effort, forecast, &step)?,
         json: out.join("bench.json"),
         picture: out.join("bench.svg"),
     };

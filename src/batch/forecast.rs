@@ -30,8 +30,9 @@ const POSE: u64 = size_of::<HeadPose>() as u64;
 const POINT_ON_DISK: u64 = 50 + 80;
 /// Bytes of a frame in the journal beside its points.
 const RECORD: u64 = 36 + 80;
-/// Report, pictures and summary, about.
+/// Report, pictures and summary on disk, about, and in memory while they are made.
 const REPORT: u64 = 1_500_000;
+const REPORTING: u64 = 9_000_000;
 
 /// What the whole scan of a scene takes on this machine with the threads at hand.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -85,7 +86,9 @@ pub(super) fn forecast_of(
     Ok(Forecast {
         frames: scene.scan.frames,
         threads,
-        memory_bytes: images(scene, at_once(frames)) + frames * POSE + points as u64 * POINT,
+        // One after the other.
+        memory_bytes: images(scene, at_once(frames))
+            .max(REPORTING + frames * POSE + points as u64 * POINT),
         memory_available_bytes: memory::available(),
         disk_bytes: files as u64 + frames * RECORD + REPORT,
         seconds: preparing + start.elapsed().as_secs_f64() * share / at_once(frames) as f64,

@@ -15,6 +15,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// What a frame is when it is measured.
 pub struct FrameContent {
     pub points: Vec<CloudPoint>,
+    /// Peaks whose blur, which images do not have, is wider than two standard deviations.
+    pub blurred: u32,
     /// Bytes of its files: the profile, and the image if the scene asks for it.
     pub files: Vec<Vec<u8>>,
 }
@@ -31,7 +33,12 @@ impl FrameContent {
         };
         let image = counts.filter(|_| simulation.scene.write_frames);
         let profile = [profile_csv(&peaks, &points)].into_iter();
+        let is_blurred = |peak: &&Peak| {
+            let blur = simulation.defocus_blur_px(peak);
+            blur.is_some_and(|blur| blur > 2.0 * peak.sigma)
+        };
         FrameContent {
+            blurred: peaks.iter().filter(is_blurred).count() as u32,
             files: profile.chain(image.as_ref().map(encode_counts)).collect(),
             points,
         }
@@ -70,6 +77,7 @@ impl Run<'_> {
         Ok(FrameRecord {
             frame,
             files,
+            blurred: content.blurred,
             points: content.points,
         })
     }

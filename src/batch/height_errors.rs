@@ -176,7 +176,7 @@ mod tests {
         let some = HeightErrors::from_parts((0..300).map(|i| vec![size(i)]).collect());
         let z2 = CONFIDENCE_SIGMAS.powi(2);
         let limit = some.share_at_most(10.0, 1.0) - z2 / (300.0 + z2);
-        assert!(limit >= -1e-12 && limit < 1e-3, "{limit}");
+        assert!((-1e-12..1e-3).contains(&limit), "{limit}");
         let share = some.share_beyond(5.0);
         assert!((some.share_at_most(5.0, 0.0) - share).abs() < 1e-4);
         assert_eq!(

@@ -72,6 +72,8 @@ pub struct FrameRecord {
     pub frame: u32,
     /// Of the frame's files, in the order in which the scan names them.
     pub files: Vec<Checksum>,
+    /// Points whose blur is wider than two standard deviations of their line.
+    pub blurred: u32,
     pub points: Vec<CloudPoint>,
 }
 
@@ -164,7 +166,7 @@ impl Journal {
         })
     }
 
-    /// Adds the next frames in order; nothing may be added after [`Self::points`].
+    /// Adds the next frames in order; nothing may be added after [`Self::records`].
     pub fn append(&mut self, records: &[FrameRecord]) -> Result<()> {
         let mut bytes = Vec::new();
         for record in records {
@@ -192,17 +194,17 @@ impl Journal {
             .map_err(Error::io("write", &self.path))
     }
 
-    /// The points of all frames in the journal, frame by frame.
-    pub fn points(&self) -> Result<Vec<Vec<CloudPoint>>> {
+    /// All frames in the journal.
+    pub fn records(&self) -> Result<Vec<FrameRecord>> {
         let read = || -> io::Result<_> {
             let mut reader = self.reader()?;
-            let mut points = Vec::new();
+            let mut records = Vec::new();
             reader.next()?;
             while let Some(content) = reader.next()? {
                 let record = postcard::from_bytes::<FrameRecord>(&content);
-                points.push(record.map_err(io::Error::other)?.points);
+                records.push(record.map_err(io::Error::other)?);
             }
-            Ok(points)
+            Ok(records)
         };
         read().map_err(Error::io("read", &self.path))
     }
@@ -280,6 +282,7 @@ mod tests {
         FrameRecord {
             frame,
             files: vec![checksum(&frame.to_le_bytes())],
+            blurred: frame,
             points: vec![point; frame as usize],
         }
     }
@@ -300,10 +303,7 @@ mod tests {
         let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
         assert_eq!(kept, [3, 4, 5].map(|f| record(f).files));
         journal.append(&[record(6)]).unwrap();
-        assert_eq!(
-            journal.points().unwrap(),
-            [3, 4, 5, 6].map(|f| record(f).points)
-        );
+        assert_eq!(journal.records().unwrap(), [3, 4, 5, 6].map(record));
     }
 
     /// Whatever byte is lost or flipped, only whole frames before it are kept.

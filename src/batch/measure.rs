@@ -3,6 +3,8 @@
 use super::Simulation;
 use crate::camera::{Camera, Counts};
 use crate::inspect::cloud::CloudPoint;
+use crate::inspect::continuity::compare_frames;
+use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::integrator::LinePoint;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
@@ -11,10 +13,11 @@ use crate::profile::{
 };
 use crate::scene::Scene;
 
-/// Least share of a point's uncertainty that is across the surface, for that share to
-/// be all that moves the point off it: on a wall along which its errors run, which part
-/// of the light it catches decides as much.
-const LEAST_SHARE: f64 = 0.15;
+/// Least share of a point's uncertainty that is across the surface, for that share to be all that
+/// moves the point off it: on a wall along which its errors run, which part of the light it catches
+/// decides as much, and beside one the point may lie on another face. Not so where the line is seen
+/// to run along the wall; of a wall within as much of the sheet that says nothing.
+const WALL: f64 = 0.15;
 
 impl Simulation<'_> {
     pub fn peak_settings(&self) -> PeakSettings {
@@ -95,6 +98,7 @@ impl Simulation<'_> {
     fn points(&self, frame: u32, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
         let part_from_head = self.scene.part_from_head(frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let sheet = self.scene.head_from_laser.rotation.y_axis;
         let measured = peaks.iter().zip(errors);
         // The triangle nearest to the column before.
         let mut close = None;
@@ -105,7 +109,9 @@ impl Simulation<'_> {
             let normal = part_from_head.inverse().vector(normal);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let mut covariance = covariance;
-            if across(&covariance) < LEAST_SHARE * trace(&covariance).max(0.0).sqrt() {
+            let wall = across(&covariance) < WALL * trace(&covariance).max(0.0).sqrt();
+            let within_sheet = normal.cross(sheet).length() < WALL;
+            if wall && (within_sheet || !self.runs_along(peak, error.slope, normal)) {
                 covariance += self.of_a_part_of_the_light(peak, in_head);
             }
             let sigma = trace(&covariance).max(0.0).sqrt();
@@ -130,7 +136,7 @@ impl Simulation<'_> {
 
     /// A peak's point and its covariance, head's frame, mm and mm².
     fn point(&self, peak: &Peak, row_sigma: f64) -> Option<(DVec3, DMat3)> {
-        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let pixel = peak.place();
         let jacobian = self.calibration.point_jacobian(pixel)?;
         let row = jacobian.by_pixel[1] * row_sigma;
         let from_row = outer(row);
@@ -140,6 +146,24 @@ impl Simulation<'_> {
             false => from_row + self.calibration.point_covariance(&jacobian),
         };
         Some((jacobian.point, covariance))
+    }
+
+    /// Diameter of the lens's blur, which images do not have, at a peak's point, px.
+    pub(super) fn defocus_blur_px(&self, peak: &Peak) -> Option<f64> {
+        let camera = &self.scene.camera;
+        let blur = camera.defocus_blur(self.calibration.point(peak)?)?;
+        Some(blur / camera.sensor.pixel_pitch)
+    }
+
+    /// Whether the line climbs, in rows a column, as one on a plane of this normal (head's frame)
+    /// would, to half of that.
+    fn runs_along(&self, peak: &Peak, slope: f64, normal: DVec3) -> bool {
+        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let jacobian = self.calibration.point_jacobian(pixel);
+        jacobian.is_some_and(|j| {
+            let [by_column, by_row] = j.by_pixel.map(|by| normal.dot(by));
+            (by_row * slope + by_column).abs() <= by_column.abs() / 2.0
+        })
     }
 
     /// What a peak's point may be off where the wall it lies on catches a part of the light
@@ -153,13 +177,29 @@ impl Simulation<'_> {
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));
-        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let pixel = peak.place();
         let by_column = self
             .calibration
             .point_jacobian(pixel)
             .map(|j| j.by_pixel[0]);
         let off_column = by_column.unwrap_or_default() / 12f64.sqrt();
         outer(off_sheet) + outer(off_column)
+    }
+
+    /// Sets and takes back [`Flags::EDGE`] by what other frames show of the surface
+    /// ([`compare_frames`]). `frames` are all that were measured, in order, and `points` theirs.
+    pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
+        let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
+        compare_frames(points, &scanned, &self.scene.laser);
+    }
+
+    /// Where laser and camera are in a frame.
+    pub(super) fn head_pose(&self, frame: u32) -> HeadPose {
+        let part_from_head = self.scene.part_from_head(frame);
+        HeadPose {
+            part_from_laser: part_from_head * self.scene.head_from_laser,
+            part_from_camera: part_from_head * self.scene.head_from_camera,
+        }
     }
 
     /// The cloud moved by a rigid motion, its deviations taken anew.
@@ -187,9 +227,10 @@ fn trace(m: &DMat3) -> f64 {
 pub(super) fn error_model(scene: &Scene) -> ErrorModel {
     let Camera { sensor, .. } = &scene.camera;
     let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-    let size = scene.camera.speckle_size(scene.laser.beam.wavelength);
     let grain = scene.speckle.map(|model| SpeckleGrain {
-        size_px: size / sensor.pixel_pitch,
+        rays: scene.camera.model().chief_rays(),
+        resolution: sensor.resolution,
+        size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
         contrast: model.coherence.contrast(),
         aperture: model.aperture,
     });

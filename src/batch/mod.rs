@@ -24,6 +24,7 @@ mod scan_speckle;
 mod search;
 mod simulation;
 mod speckle;
+mod surface_view;
 mod survey;
 mod synthetic;
 mod tiers;

@@ -5,7 +5,7 @@ use super::measure::error_model;
 use super::{HeightErrors, Simulation};
 use crate::camera::Counts;
 use crate::error::Result;
-use crate::integrator::accuracy::{Pilot, PilotPoint};
+use crate::integrator::accuracy::{Grain, Pilot, PilotPoint};
 use crate::integrator::{Plan, Sampling};
 use crate::math::DVec2;
 use crate::profile::{ErrorModel, Peak};
@@ -156,6 +156,11 @@ impl<'s> Looked<'s> {
             pixels: resolution.element_product(),
             columns: resolution.x,
             looked_at: radii.iter().map(looked_at).collect::<Result<_>>()?,
+            grain: scene.speckle.map(|speckle| Grain {
+                aperture: speckle.aperture,
+                size: simulation.plan.grain.speckle_extent_px[1],
+                contrast: speckle.coherence.contrast(),
+            }),
         })
     }
 
@@ -179,6 +184,7 @@ impl<'s> Looked<'s> {
                 // A line within one pixel measures as of no width.
                 sigma: peak.sigma.max(0.1),
                 speckle: variance.max(0.0).sqrt(),
+                blur: self.full.defocus_blur_px(peak).unwrap_or(0.0),
             })
         };
         let sound = peaks.iter().enumerate().filter(|(_, p)| p.flags.is_sound());

@@ -124,6 +124,8 @@ pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> R
         return Ok(told(&scene.methods, named(scene, base)));
     };
     let mut choice = choose(scene, accel, &base, tolerance)?;
+    let pilot = &choice.pilot;
+    choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
     let effects = effects(scene, &mut choice, &base)?;
     Ok(Plan {
         effects,
@@ -156,19 +158,19 @@ fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect
     let replaced = ["speckle", "pixel integration"];
     let others = base.effects.iter();
     let others = others.filter(|e| !replaced.contains(&e.effect));
-    list.0.extend(others.cloned().map(|effect| {
-        // A disc's standard deviation is a quarter of its diameter; the core of Airy's
-        // pattern is about a Gaussian of 0.42 h.
-        let blur = match effect.effect {
-            "defocus" => plan.defocus_blur_px / 4.0,
-            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+    list.0.extend(others.cloned().map(|mut effect| {
+        match effect.effect {
+            "defocus" => {
+                effect.influence_um = quantile(&choice.pilot.defocus());
+                effect.why = plan.defocus_in_words();
+            }
+            "diffraction of the lens" => {
+                effect.influence_um = quantile(&choice.pilot.diffraction())
+            }
             SLIP => return slip_named(methods).unwrap_or(effect),
-            _ => return effect,
-        };
-        Effect {
-            influence_um: quantile(&choice.pilot.widened(blur)),
-            ..effect
+            _ => {}
         }
+        effect
     }));
     Ok(list.0)
 }
@@ -205,7 +207,7 @@ impl List {
             let influence = choice.influence(|finest| finest.speckle = None)?;
             let modelled = plan.speckle.is_some();
             let speckle = self.add("speckle", modelled, speckle_method(plan), influence);
-            let why = format!("grain {:.2} px", plan.speckle_size_px);
+            let why = format!("grain {}", plan.grain);
             speckle.why = because(methods.speckle.is_some(), &why);
             speckle.cost_ms = Some(speckle_ms);
         }

@@ -117,13 +117,21 @@ impl Shown<'_> {
                 format!("{} %", short(self.summary.measured_share * 100.0)),
             ),
             (
+                "points out of focus",
+                match self.summary.blurred_share {
+                    None => "no points".into(),
+                    Some(share) => format!(
+                        "{} % have a blur wider than two standard deviations of their line; \
+                         it is not modelled",
+                        short(share * 100.0)
+                    ),
+                },
+            ),
+            (
                 "height of 1 px",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
-            (
-                "speckle size",
-                format!("{} px", short(plan.speckle_size_px)),
-            ),
+            ("speckle size", plan.grain.to_string()),
         ]
     }
 

@@ -37,6 +37,9 @@ pub struct ScanSummary {
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
     pub points: usize,
+    /// Share of the points at which the lens's blur, which images do not have, is wider than
+    /// two standard deviations of their line; `null` if there is none.
+    pub blurred_share: Option<f64>,
     /// Of valid points ([`CloudPoint::is_sound`]); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
@@ -212,6 +215,18 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
     Ok(())
 }
 
+/// The points of all frames, and the share of them that the lens would blur widely.
+fn points_of(journal: &Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
+    let (mut points, mut blurred) = (Vec::new(), 0);
+    for record in journal.records()? {
+        points.extend(record.points);
+        blurred += record.blurred;
+    }
+    let share = || blurred as f64 / points.len() as f64;
+    let share = (!points.is_empty()).then(share);
+    Ok((points, share))
+}
+
 /// From the points of all frames to cloud, pictures, report and summary.
 fn finish(
     simulation: &Simulation,
@@ -222,19 +237,12 @@ fn finish(
     run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
     let scene = simulation.scene;
-    let mut points = journal.points()?.concat();
+    let (mut points, blurred_share) = points_of(journal)?;
+    simulation.compare_frames(frames.clone(), &mut points);
     let alignment = align(simulation, &mut points);
     control.check()?;
-    let poses: Vec<HeadPose> = frames
-        .clone()
-        .map(|frame| {
-            let part_from_head = scene.part_from_head(frame);
-            HeadPose {
-                part_from_laser: part_from_head * scene.head_from_laser,
-                part_from_camera: part_from_head * scene.head_from_camera,
-            }
-        })
-        .collect();
+    let poses = frames.clone().map(|frame| simulation.head_pose(frame));
+    let poses: Vec<HeadPose> = poses.collect();
     let coverage = coverage(&Scanned {
         accel: &simulation.accel,
         laser: &scene.laser,
@@ -252,6 +260,7 @@ fn finish(
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
+    summary.blurred_share = blurred_share;
     files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
     for format in &options.also {
         control.check()?;
@@ -308,6 +317,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         columns,
         measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
+        blurred_share: None,
         deviation: DeviationStatistics::of(sound.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(points),

@@ -1,6 +1,8 @@
 //! Speckle of a scan: the patterns, how they lie over the sensor, and how they
 //! follow the part.
 
+use super::surface_view::{in_camera, lit_normal, surface_view};
+use crate::accel::Accel;
 use crate::camera::CameraModel;
 use crate::error::Result;
 use crate::integrator::plan::SpeckleStep;
@@ -11,7 +13,7 @@ use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordin
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::frame_field::{FrameFields, field_spec};
 use crate::speckle::lookup::{Lookup, Method};
-use crate::speckle::motion::{Source, SurfaceView, overlap_correlation_defocused};
+use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::path::PathAnchor;
 use crate::speckle::pattern::{Aperture, PatternSpec};
 use crate::speckle::strips::Strip;
@@ -85,12 +87,20 @@ fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
 }
 
 impl ScanSpeckle {
-    /// `strips`: whether the surface moves otherwise from place to place.
-    pub fn new(scene: &Scene, model: &SpeckleModel, strips: bool) -> Result<ScanSpeckle> {
+    /// `strips`: whether the surface of `accel` moves otherwise from place to place.
+    pub fn new(
+        scene: &Scene,
+        accel: &Accel,
+        model: &SpeckleModel,
+        strips: bool,
+    ) -> Result<ScanSpeckle> {
         let wavelength = scene.laser.beam.wavelength;
         let grain = scene.camera.speckle_angle(wavelength);
         let distance = scene.camera.lens.image_distance();
-        let anchor = anchor(scene, strips);
+        let anchor = match strips {
+            true => anchor(scene, true, lit_normal(scene, accel)),
+            false => anchor(scene, false, None),
+        };
         let (source, map) = match model.method {
             Method::Field => {
                 let spec = field_spec(scene.seed, model.aperture);
@@ -187,29 +197,6 @@ impl ScanSpeckle {
     }
 }
 
-/// The view in the camera's frame.
-fn in_camera(view: &SurfaceView, camera_from_head: &Rigid) -> SurfaceView {
-    let turn = camera_from_head.rotation;
-    let source = match view.source {
-        Source::Point(point) => Source::Point(camera_from_head.point(point)),
-        Source::Wavefront {
-            direction,
-            curvature_per_mm,
-        } => Source::Wavefront {
-            direction: turn * direction,
-            curvature_per_mm: turn * curvature_per_mm * turn.transpose(),
-        },
-    };
-    SurfaceView {
-        point: camera_from_head.point(view.point),
-        normal: turn * view.normal,
-        source,
-        pupil_centre: camera_from_head.point(view.pupil_centre),
-        image_x: turn * view.image_x,
-        ..*view
-    }
-}
-
 /// A displacement as (columns, rows): a view's second axis points up, the sensor's
 /// rows go down.
 fn on_sensor(displacement: DVec2) -> DVec2 {
@@ -217,9 +204,11 @@ fn on_sensor(displacement: DVec2) -> DVec2 {
 }
 
 /// What ties the patterns to the part along the scene's path; `strips` if they move
-/// otherwise from place to place.
-fn anchor(scene: &Scene, strips: bool) -> Anchor {
+/// otherwise from place to place. `normal` is that of the surface (head's frame), across
+/// the beam if it is not known.
+fn anchor(scene: &Scene, strips: bool, normal: Option<DVec3>) -> Anchor {
     let mut view = surface_view(scene, None);
+    view.normal = normal.unwrap_or(view.normal);
     if strips {
         view.magnification = scene.camera.lens.magnification();
     }
@@ -257,7 +246,7 @@ fn anchor(scene: &Scene, strips: bool) -> Anchor {
 /// What a step of the scan does to speckle; `field` whether the method reads fields,
 /// which alone have strips.
 pub fn step_of_speckle(scene: &Scene, field: bool) -> SpeckleStep {
-    let anchor = anchor(scene, true);
+    let anchor = anchor(scene, true, None);
     let poses = [0.0, 1.0].map(|place| scene.part_from_head_at(place));
     let [from, to] = [0, 1].map(|i| anchor.coordinate(i as f64, &poses[i]));
     let delta = (to.pupil.shift - from.pupil.shift).length();
@@ -304,38 +293,4 @@ fn spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
         Some((there - moved(point)?).length() * camera.sensor.pixel_pitch)
     });
     ways.fold(0.0, f64::max)
-}
-
-/// The view of `point` (head's frame) on a surface across the beam; by default the
-/// point in the middle of the field, where the optical axis meets the laser plane
-/// (the plane of focus, if nowhere).
-pub(super) fn surface_view(scene: &Scene, point: Option<DVec3>) -> SurfaceView {
-    let camera = &scene.head_from_camera;
-    let laser = &scene.head_from_laser;
-    let (eye, axis) = (camera.translation, camera.rotation.z_axis);
-    let normal = laser.rotation.y_axis;
-    let distance = normal.dot(laser.translation - eye) / normal.dot(axis);
-    let lens = &scene.camera.lens;
-    let point =
-        point.unwrap_or_else(
-            || match distance.is_finite() && distance > lens.focal_length {
-                true => eye + axis * distance,
-                false => eye + axis * lens.focus_distance,
-            },
-        );
-    let wave = scene.laser.wavefront(laser.inverse().point(point));
-    let turn = laser.rotation;
-    SurfaceView {
-        point,
-        normal: -laser.rotation.z_axis,
-        source: Source::Wavefront {
-            direction: turn * wave.direction,
-            curvature_per_mm: turn * wave.curvature_per_mm * turn.transpose(),
-        },
-        pupil_centre: eye,
-        pupil_diameter: lens.pupil_diameter(),
-        image_x: camera.rotation.x_axis,
-        focus_distance: lens.focus_distance,
-        magnification: lens.image_distance() / (point - eye).length(),
-    }
 }

@@ -4,7 +4,8 @@
 use super::forecast;
 use super::measure::error_model;
 use super::planner;
-use super::scan_speckle::{ScanSpeckle, step_of_speckle, surface_view};
+use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, DarkCounts, Sensor};
 use crate::error::Result;
@@ -103,7 +104,7 @@ impl<'s> Simulation<'s> {
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };
-                let patterns = ScanSpeckle::new(scene, &model, plan.speckle_slips)?;
+                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips)?;
                 Some(Arc::new(patterns))
             }
             _ => None,

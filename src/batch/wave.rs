@@ -1,7 +1,7 @@
 //! The wave-optics reference: its own table of motions and line widths, and one
 //! patch of a scene.
 
-use super::scan_speckle::surface_view;
+use super::surface_view::surface_view;
 use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
@@ -19,6 +19,7 @@ use crate::speckle::wave::{
 };
 use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise};
+use crate::speckle::wave_grain::{GrainCase, GrainRow, grain_lengths, reference_grains};
 use crate::speckle::wave_motion::{
     MotionCase, MotionRow, WaveSampling, measure_motions, motion_terms,
 };
@@ -51,6 +52,8 @@ pub struct ComparedMotion {
 #[derive(Debug, Serialize)]
 pub struct WaveSummary {
     pub motions: Vec<ComparedMotion>,
+    /// Grains on the sensor; of a scene where it sees the patch.
+    pub grains: Vec<GrainRow>,
     /// Empty for a scene's patch.
     pub centroids: Vec<CentroidRow>,
     /// Empty for a scene's patch.
@@ -61,6 +64,9 @@ pub struct WaveSummary {
 /// Surfaces of a spot for each of a row of motions: a spot has one centroid, a line
 /// one in each row.
 const SPOTS_A_ROW: u64 = 4;
+
+/// Diameter of the pupil of [`reference_grains`], mm: 50 mm at f/11.
+const REFERENCE_PUPIL_MM: f64 = 50.0 / 11.0;
 
 /// Width of the compared region of an image, grains.
 const REGION_GRAINS: f64 = 24.0;
@@ -93,11 +99,18 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         control.check()?;
         spots.push(spot_height_noise(&setup)?);
     }
+    let grains = grain_lengths(
+        &reference_grains(),
+        REFERENCE_PUPIL_MM,
+        REFERENCE_WAVELENGTH_MM,
+        effort.seed,
+    )?;
     let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
     let textures = textures(&motions, effort.seed)?;
     files::write_bytes(&pictures[0], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
+        grains,
         centroids,
         spots,
         pictures,
@@ -132,11 +145,19 @@ pub fn wave_patch(patch: &WavePatch, out: &Path, control: &Control) -> Result<Wa
         told(done + patch.terms[3] * share.min(1.0));
     })?;
     control.check()?;
+    let scene = patch.scene;
+    let grains = grain_lengths(
+        &grains_at(scene, &patch.image.view),
+        scene.camera.lens.pupil_diameter(),
+        scene.laser.beam.wavelength,
+        seed,
+    )?;
     let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
     let textures = textures(&motions, seed)?;
     files::write_bytes(&pictures[1], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
+        grains,
         centroids: Vec::new(),
         spots: Vec::new(),
         pictures,
@@ -156,6 +177,23 @@ pub fn wave_patch(patch: &WavePatch, out: &Path, control: &Control) -> Result<Wa
     files::write_bytes(&summary.pictures[0], &png)?;
     files::write_json(&out.join("wave.json"), &summary)?;
     Ok(summary)
+}
+
+/// Along columns and rows of the sensor where it sees the patch; nothing if it does not.
+fn grains_at(scene: &Scene, view: &SurfaceView) -> Vec<GrainCase> {
+    let camera = &scene.camera;
+    let Some(pixel) = camera.project(scene.head_from_camera.inverse().point(view.point)) else {
+        return Vec::new();
+    };
+    let place = camera.sensor_point(pixel);
+    let step = |to: DVec2| (camera.sensor_point(pixel + to) - place).normalize();
+    let along = [("along a row", DVec2::X), ("along a column", DVec2::Y)];
+    let case = |(name, to): (&str, DVec2)| GrainCase {
+        name: name.into(),
+        place,
+        along: step(to),
+    };
+    along.map(case).into()
 }
 
 /// The part's motion in the head's frame over some steps of the scan.
@@ -389,8 +427,8 @@ const SCATTERERS_A_GRAIN: f64 = 8.0;
 /// Most terms of a patch: some hours on one core, and an image that fits in a gigabyte.
 pub const MOST_TERMS: f64 = 1e12;
 
-/// Time of a term on one core, measured (`lasertrace wave SCENE` of `scenes/plane`).
-const SECONDS_A_TERM: f64 = 1e-8;
+/// Time of a term on one core, transforms included: `lasertrace wave scenes/plane/scene.toml`.
+const SECONDS_A_TERM: f64 = 6e-9;
 
 /// Steps in which `wave_patch` tells its progress.
 pub const PATCH_STEPS: u64 = 1000;

@@ -133,6 +133,21 @@ impl Distortion {
         )
     }
 
+    /// Irradiance behind the lens over that without distortion at the same place of the
+    /// sensor, for light of the direction x: (cosθ/cosθ′)⁴/|∂x′/∂x|, cos²θ = 1/(1 + r²). A
+    /// flat entrance pupil of area A takes in L·A·cos⁴θ·d²x of the radiance L; the light of
+    /// d²x falls on |∂x′/∂x|·d²x′, where without distortion it would be L·A·cos⁴θ′·d²x′.
+    pub fn concentration(&self, x: DVec2) -> f64 {
+        let secant2 = |x: DVec2| 1.0 + x.length_squared();
+        (secant2(self.distort(x)) / secant2(x)).powi(2) / self.jacobian(x).determinant()
+    }
+
+    /// No [`Self::concentration`] is greater on a sensor that reaches to the distorted
+    /// radius `reach`.
+    pub fn greatest_concentration(&self, reach: f64) -> f64 {
+        ((1.0 + reach * reach) / self.least_stretch).powi(2)
+    }
+
     /// ∂(x′, y′)/∂(k₁, k₂, k₃, p₁, p₂).
     pub fn by_coefficients(&self, x: DVec2) -> [DVec2; 5] {
         let s = x.length_squared();

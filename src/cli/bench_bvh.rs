@@ -17,6 +17,9 @@ pub struct Arguments {
     /// Times everything is built and timed, in turn
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     rounds: u16,
+    /// Longest time for each racer, s; what it has no time for is reported
+    #[arg(long, value_name = "S", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
+    seconds: u32,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -26,21 +29,31 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     use super::STOP;
     use crate::batch::{self, Control};
-    use crate::race::{Effort, RACERS, table};
+    use crate::race::{Effort, table};
 
+    // The builds of others cannot be stopped. Nothing is written before the race is over,
+    // and then each file at once.
     let effort = Effort {
         rays: arguments.rays as usize,
         rounds: arguments.rounds.into(),
+        seconds: arguments.seconds.into(),
     };
     let mesh = crate::mesh::load(&arguments.mesh, arguments.unit.mm())?;
-    let steps = effort.rounds * (RACERS + 1);
-    let bar = output.progress(steps as u64, "builds and rounds");
+    let bar = output.progress(effort.steps() as u64, "builds and rounds");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: None,
         stop: &STOP,
     };
-    let bench = batch::bench_bvh(&arguments.mesh, &mesh, effort, &arguments.output, &control);
+    let forecast = |seconds: f64| {
+        let minutes = (seconds / 60.0).max(0.1);
+        output.say(&format!(
+            "the race takes at most about {minutes:.1} minutes, {} s for each racer",
+            effort.seconds
+        ));
+    };
+    let (mesh_file, out) = (&arguments.mesh, &arguments.output);
+    let bench = batch::bench_bvh(mesh_file, &mesh, effort, out, &forecast, &control);
     bar.finish_and_clear();
     let bench = bench?;
     let (picture, json) = (path(&bench.picture), path(&bench.json));
@@ -57,11 +70,12 @@ pub fn run(arguments: Arguments, _: &Output) -> Result<()> {
     Err(crate::error::Error::Usage(format!(
         "bench-bvh races against crates that lasertrace itself does without, and this \
          program was built without them; in lasertrace's folder, run:\n\
-         cargo run --release --features race -- bench-bvh {} --unit {} --rays {} --rounds {} -o {}",
+         cargo run --release --features race -- bench-bvh {} --unit {} --rays {} --rounds {} --seconds {} -o {}",
         path(&arguments.mesh),
         unit.expect("no unit is hidden").get_name(),
         arguments.rays,
         arguments.rounds,
+        arguments.seconds,
         path(&arguments.output)
     )))
 }

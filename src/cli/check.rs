@@ -157,9 +157,9 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
         + &line(
             "laser line",
             &format!(
-                "{} px wide (1/e²) in the image; speckle grain {} px",
+                "{} px wide (1/e²) in the image; speckle grain {}",
                 short(2.0 * plan.line_half_width_px),
-                short(plan.speckle_size_px)
+                plan.grain
             ),
         )
 }

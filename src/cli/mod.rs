@@ -168,6 +168,14 @@ impl Output {
         bar.with_style(style.expect("the template is valid"))
     }
 
+    /// A line on stderr, unless the user wants it quiet.
+    #[cfg(feature = "race")]
+    fn say(&self, text: &str) {
+        if !self.quiet {
+            let _ = writeln!(std::io::stderr(), "{text}");
+        }
+    }
+
     /// The result on stdout: `value` as JSON, or `text`.
     fn result(&self, value: &impl serde::Serialize, text: &str) -> Result<()> {
         let text = match self.json {

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::error::printable::path;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
+use crate::speckle::wave_grain::GrainRow;
 use crate::speckle::wave_spot::SpotRow;
 use indicatif::HumanDuration;
 use std::fmt::Write;
@@ -110,6 +111,7 @@ fn text(summary: &WaveSummary) -> String {
             row.displacement_um[1],
         );
     }
+    text += &grains(&summary.grains);
     if !summary.centroids.is_empty() {
         let _ = writeln!(
             text,
@@ -128,6 +130,27 @@ fn text(summary: &WaveSummary) -> String {
     text += &spots(&summary.spots);
     for picture in &summary.pictures {
         let _ = writeln!(text, "{}", path(picture));
+    }
+    text
+}
+
+/// Lengths of grains on the sensor.
+fn grains(rows: &[GrainRow]) -> String {
+    let mut text = String::new();
+    if !rows.is_empty() {
+        let _ = writeln!(
+            text,
+            "\n{:<46} {:>8} {:>8} {:>24}   width of grains at half height, µm",
+            "grains", "law", "waves", "patterns (95 %)"
+        );
+    }
+    for row in rows {
+        let e = row.texture_um;
+        let _ = writeln!(
+            text,
+            "{:<46} {:>8.3} {:>8.3} {:>9.3} ({:.3}–{:.3})",
+            row.name, row.law_um, row.waves_um, e.value, e.low, e.high
+        );
     }
     text
 }

@@ -10,7 +10,8 @@ use std::io::{self, Write};
 pub struct CloudPoint {
     /// Part frame, mm.
     pub position: DVec3,
-    /// Signed distance to the CAD surface, mm; positive on the camera's side.
+    /// Signed distance to the CAD surface, mm; positive outside the material, and on the
+    /// camera's side of a mesh that is open or wound both ways.
     pub deviation: f64,
     /// Standard uncertainty of the position, mm: along the camera's ray's way
     /// through the laser plane, where an error of the row moves it.

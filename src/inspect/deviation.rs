@@ -4,11 +4,12 @@ use crate::accel::{Accel, Face, facing_normal};
 use crate::math::DVec3;
 use serde::Serialize;
 
-/// Signed distance (mm) from `point` to the nearest point of the part, positive
-/// on the side from which `eye` sees the surface there (a mesh's own winding
-/// need not be right), and the unit normal there on that side: along it an error of
-/// the point is one of the distance. `close`: a triangle close to the point, if one
-/// is known, and then the nearest.
+/// Signed distance (mm) from `point` to the nearest point of the part, positive outside the
+/// material, and the unit normal there towards `eye`: along it an error of the point is one of
+/// the distance. The mesh says where outside is if it is closed and consistently wound, outward
+/// or inward; of any other, outside is the side from which `eye` sees the surface there, which
+/// is wrong of a point beyond the silhouette. `close`: a triangle close to the point, if one is
+/// known, and then the nearest.
 pub fn signed_distance(
     accel: &Accel,
     point: DVec3,
@@ -18,12 +19,13 @@ pub fn signed_distance(
     let nearest = accel.nearest(point, *close);
     *close = Some(nearest.face);
     let corners = accel.corners(nearest.face);
-    let outward = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
+    let seen = facing_normal(corners, nearest.point - eye).unwrap_or(DVec3::ZERO);
+    let outward = accel.outward(nearest.face, nearest.point).unwrap_or(seen);
     let sign = match outward.dot(point - nearest.point) < 0.0 {
         true => -1.0,
         false => 1.0,
     };
-    (sign * nearest.distance, outward)
+    (sign * nearest.distance, seen)
 }
 
 /// Statistics of signed deviations, µm.
@@ -70,7 +72,7 @@ mod tests {
     use crate::mesh::Mesh;
 
     #[test]
-    fn the_sign_follows_the_eye_whatever_the_winding() {
+    fn the_sign_of_an_open_mesh_follows_the_eye_whatever_the_winding() {
         for triangle in [[0, 1, 2], [0, 2, 1]] {
             let mesh = Mesh {
                 positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],

@@ -48,7 +48,7 @@ const FLAGS: [(Flags, &str, &str); 7] = [
     (
         Flags::EDGE,
         "edge",
-        "nothing but ends, jumps and lines much narrower than expected around",
+        "at an end or a jump, or so narrow or dark that an edge may cut the line",
     ),
     (
         Flags::OUTSIDE,

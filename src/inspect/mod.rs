@@ -6,6 +6,7 @@ pub mod align;
 pub mod chart;
 pub mod cloud;
 pub mod color;
+pub mod continuity;
 pub mod coverage;
 pub mod deviation;
 pub mod flags;

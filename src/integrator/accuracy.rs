@@ -4,6 +4,7 @@
 use super::Sampling;
 use super::height_error::{HeightError, PROMISED_SHARE};
 use super::plan::Plan;
+use crate::speckle::pattern::Aperture;
 use serde::Serialize;
 
 /// What was promised, and what is predicted.
@@ -50,6 +51,8 @@ pub struct PilotPoint {
     pub sigma: f64,
     /// Standard deviation of the row from speckle, px.
     pub speckle: f64,
+    /// Diameter of the lens's blur there, px.
+    pub blur: f64,
 }
 
 /// What the plan knows of the scene's frames.
@@ -60,17 +63,24 @@ pub struct Pilot {
     pub columns: f64,
     /// Pixels of a frame that are looked at when light ends at so many beam radii.
     pub looked_at: Vec<(f64, f64)>,
+    /// `None`: the scene has no speckle.
+    pub grain: Option<Grain>,
+}
+
+/// Of the scene's speckle.
+#[derive(Debug, Clone)]
+pub struct Grain {
+    pub aperture: Aperture,
+    /// Minimal speckle size h along the sensor's columns, px.
+    pub size: f64,
+    pub contrast: f64,
 }
 
 impl Pilot {
-    /// By how much more speckle would move heights were the line widened by a blur of
-    /// this standard deviation, px: as the root of its width (physics of
-    /// [`centroid_noise`](crate::speckle::theory::centroid_noise)).
-    pub fn widened(&self, blur: f64) -> Vec<HeightError> {
-        let factor = |sigma: f64| (1.0 + (blur / sigma).powi(2)).powf(0.25) - 1.0;
-        let error =
-            |p: &PilotPoint| HeightError::random(p.speckle * factor(p.sigma)).times(p.um_per_px);
-        self.points.iter().map(error).collect()
+    /// Error of each point for one effect of a plan.
+    pub(super) fn each(&self, error: impl Fn(&PilotPoint) -> HeightError) -> Vec<HeightError> {
+        let in_um = |point: &PilotPoint| error(point).times(point.um_per_px);
+        self.points.iter().map(in_um).collect()
     }
 }
 

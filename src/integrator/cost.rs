@@ -6,7 +6,7 @@ use super::plan::Plan;
 use crate::speckle::lookup::Method;
 
 /// Time of one of each, ns: fitted to the demo's rows of `lasertrace chart`, which they
-/// give to 21 %.
+/// gave to 21 %.
 struct Cost {
     /// A camera ray with its shadow ray.
     ray: f64,

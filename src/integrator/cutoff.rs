@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::laser::{CUTOFF_RADII, Laser};
-use crate::math::{DVec2, DVec3};
+use crate::math::DVec3;
 use std::f64::consts::PI;
 
 /// What light beyond the cutoff may add to any pixel, electrons or counts,
@@ -28,11 +28,7 @@ pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> 
             // √(2/π) = 2/π·√(π/2).
             Some(fan) => (PI / 2.0).sqrt() * fan.power_per_radian(0.0) / nearest,
         };
-    let size = camera.sensor.resolution.as_dvec2();
-    let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
-    let behind = corners.map(|corner| camera.sensor_point(corner).z);
-    let behind = behind.into_iter().fold(f64::INFINITY, f64::min);
-    let solid_angle = camera.lens.pupil_area() / (behind * behind);
+    let solid_angle = camera.greatest_pupil_solid_angle();
     let electrons =
         irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
     let unseen = UNSEEN / camera.sensor.gain_dn_per_e.max(1.0);

@@ -198,7 +198,7 @@ impl<'a> LitRays<'a> {
         };
         let radiance = self.view.surface.radiance(received);
         let light = Light {
-            irradiance: radiance * self.sight.solid_angle(place),
+            irradiance: radiance * self.sight.solid_angle(place, direction),
             off2: r2,
             depth: self.sight.axis.dot(hit.point - self.sight.eye),
             radius,

@@ -4,6 +4,8 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::defocus::noise_factor;
+use super::grain_extent::GrainExtent;
 use super::in_view::Optics;
 use super::samples::sampling_error;
 use crate::math::{DVec2, DVec3};
@@ -29,11 +31,18 @@ pub struct Plan {
     /// 1/e² half width of the line's image where it is narrowest on the part, for
     /// a surface across the beam, pixels.
     pub line_half_width_px: f64,
-    /// Minimal speckle size h on the sensor, pixels.
-    pub speckle_size_px: f64,
+    /// Speckle on the sensor where it may see the line.
+    #[serde(flatten)]
+    pub grain: GrainExtent,
     /// Blur of the lens where the laser plane crosses the part, at its largest,
     /// pixels; not modelled.
     pub defocus_blur_px: f64,
+    /// Share whose blur is wider than two standard deviations of the line: of the points of
+    /// the frames the plan looked at, without a tolerance of places of the laser plane.
+    pub blurred_share: f64,
+    /// How many times as far speckle moves centroids under that blur as in sharp images, at
+    /// most; 1 without speckle.
+    pub defocus_noise_factor: f64,
     /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
     pub airy_radius_px: f64,
     /// Movement of the line's image for 1 mm along the beam, pixels per mm.
@@ -160,10 +169,9 @@ impl Plan {
         } = optics;
         let line = LineImage::over(optics, places);
         let pitch = camera.sensor.pixel_pitch;
-        let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
-        let airy_radius_px = 1.22 * speckle_size_px;
+        let airy_radius_px = 1.22 * camera.speckle_size(laser.beam.wavelength) / pitch;
         let sigma = line.half_width_px / 2.0;
-        let samples = samples_per_side(sigma, speckle_size_px, speckle.as_ref());
+        let samples = samples_per_side(sigma, line.grain.speckle_size_px, speckle.as_ref());
         let plane_point = camera_from_laser.translation;
         let plane_normal = camera_from_laser.rotation.y_axis;
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
@@ -175,8 +183,15 @@ impl Plan {
             sampling: Sampling::Planes,
             cutoff_radii: cutoff_radii(laser, camera, places),
             line_half_width_px: line.half_width_px,
-            speckle_size_px,
+            grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
+            blurred_share: line.blurred_share,
+            defocus_noise_factor: noise_factor(
+                speckle.as_ref(),
+                line.grain.speckle_extent_px[1],
+                sigma,
+                line.defocus_blur_px,
+            ),
             airy_radius_px,
             px_per_mm: line.px_per_mm,
             scheimpflug_tilt_deg: camera
@@ -213,25 +228,16 @@ impl Plan {
                 }
                 .into(),
                 format!(
-                    "grain {:.2} px; it moves each centroid by about {:.2} px (1σ)",
-                    self.speckle_size_px,
+                    "grain {}; it moves each centroid by about {:.2} px (1σ)",
+                    self.grain,
                     centroid_noise(
-                        self.speckle_size_px,
+                        self.grain.speckle_extent_px[1],
                         sigma,
                         speckle.map_or(1.0, |s| s.contrast)
                     )
                 ),
             ),
-            effect(
-                "defocus",
-                false,
-                "sharp image".into(),
-                format!(
-                    "blur of up to {:.1} px widens the line, {:.1} px wide; its centroid stays",
-                    self.defocus_blur_px,
-                    2.0 * self.line_half_width_px
-                ),
-            ),
+            self.defocus_effect(),
             effect(
                 "diffraction of the lens",
                 false,
@@ -292,11 +298,13 @@ impl Plan {
 struct LineImage {
     half_width_px: f64,
     defocus_blur_px: f64,
+    blurred_share: f64,
     px_per_mm: f64,
     /// Largest 1/e² half width of the line itself, mm.
     widest: f64,
     /// Largest |1 − L_f/L_o|.
     defocus: f64,
+    grain: GrainExtent,
 }
 
 impl LineImage {
@@ -341,18 +349,29 @@ impl LineImage {
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
             defocus_blur_px: 0.0,
+            blurred_share: 0.0,
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
+            grain: GrainExtent::NONE,
         };
+        let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
+        let each = 1.0 / places.len().max(1) as f64;
         for &p in places {
             let moved = |by: DVec3| {
                 let from = camera.project(camera_from_laser.point(p))?;
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
+            if let Some(pixel) = camera.project(camera_from_laser.point(p)) {
+                image.grain = image.grain.with(grains(pixel));
+            }
+            let blur = camera.defocus_blur(camera_from_laser.point(p));
+            let blur_px = blur.unwrap_or(0.0) / camera.sensor.pixel_pitch;
+            image.defocus_blur_px = image.defocus_blur_px.max(blur_px);
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
+                image.blurred_share += f64::from(blur_px > px) * each;
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);
@@ -360,14 +379,15 @@ impl LineImage {
             image.widest = image.widest.max(width);
             let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
             image.defocus = image.defocus.max(defocus.abs());
-            let blur = camera.defocus_blur(camera_from_laser.point(p));
-            image.defocus_blur_px = image
-                .defocus_blur_px
-                .max(blur.unwrap_or(0.0) / camera.sensor.pixel_pitch);
         }
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
             image.px_per_mm = 1.0;
+        }
+        if image.grain == GrainExtent::NONE {
+            image.grain = image
+                .grain
+                .with(grains(camera.sensor.resolution.as_dvec2() / 2.0));
         }
         image
     }

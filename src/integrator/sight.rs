@@ -70,11 +70,20 @@ impl Sight {
         (direction, steps)
     }
 
-    /// Irradiance at a place on the sensor per radiance of what it sees there, sr.
-    pub fn solid_angle(&self, place: DVec2) -> f64 {
+    /// Irradiance at a place on the sensor per radiance of what it sees there, in
+    /// `direction` from the eye, sr; see
+    /// [`Camera::pupil_solid_angle`](crate::camera::Camera::pupil_solid_angle).
+    pub fn solid_angle(&self, place: DVec2, direction: DVec3) -> f64 {
         let to_sensor = self.to_sensor(place);
         let r2 = to_sensor.length_squared();
-        self.pupil * self.axis.dot(to_sensor) / (r2 * r2)
+        let without = self.pupil * self.axis.dot(to_sensor) / (r2 * r2);
+        match &self.distortion {
+            None => without,
+            Some((distortion, axes)) => {
+                let seen = axes.transpose() * direction;
+                without * distortion.concentration(seen.truncate() / seen.z)
+            }
+        }
     }
 
     /// From the eye to a place (column, row) on the sensor, mm; along the chief ray

@@ -85,13 +85,7 @@ pub fn report(mesh: &Mesh) -> MeshReport {
     } else if edges.unbalanced > 0 {
         Orientation::Mixed
     } else {
-        // Below rounding of the sum: a sheet closed on itself.
-        let size = mesh.bounds().size().length();
-        match volume {
-            v if v.abs() <= 1e-14 * size.powi(3) => Orientation::Mixed,
-            v if v > 0.0 => Orientation::Outward,
-            _ => Orientation::Inward,
-        }
+        facing(mesh, volume)
     };
     MeshReport {
         triangles: mesh.triangles.len(),
@@ -110,6 +104,17 @@ pub fn report(mesh: &Mesh) -> MeshReport {
             Orientation::Outward | Orientation::Inward => volume,
             Orientation::Mixed | Orientation::Open => 0.0,
         },
+    }
+}
+
+/// Which way a closed and consistently wound mesh of this signed volume faces.
+pub(super) fn facing(mesh: &Mesh, volume: f64) -> Orientation {
+    // Below rounding of the sum: a sheet closed on itself.
+    let size = mesh.bounds().size().length();
+    match volume {
+        v if v.abs() <= 1e-14 * size.powi(3) => Orientation::Mixed,
+        v if v > 0.0 => Orientation::Outward,
+        _ => Orientation::Inward,
     }
 }
 
@@ -157,7 +162,7 @@ fn edges(mesh: &Mesh) -> Edges {
 
 /// Sum of the signed tetrahedra over all triangles (mm³), about the middle of
 /// the mesh so that an offset costs no digits.
-fn signed_volume(mesh: &Mesh) -> f64 {
+pub(super) fn signed_volume(mesh: &Mesh) -> f64 {
     let middle = mesh.bounds().center();
     (0..mesh.triangles.len())
         .map(|i| {

@@ -26,12 +26,14 @@ mod obj;
 mod ply;
 mod polygon;
 pub mod shapes;
+mod shell;
 mod sniff;
 mod stl;
 mod text;
 mod weld;
 
 pub use check::{MeshReport, Orientation, has_area, report};
+pub use shell::Shell;
 
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
 /// volumes finite, and a flipped exponent bit from passing as a part.

@@ -50,7 +50,7 @@ const STRANGERS: [(&[u8], &str, &str); 17] = [
 ];
 
 /// What a file is that is no mesh of ours, and what to give instead.
-fn stranger(bytes: &[u8], head: &[u8]) -> Option<(String, &'static str)> {
+fn stranger(head: &[u8]) -> Option<(String, &'static str)> {
     let named = |name: &str, expected| Some((name.to_owned(), expected));
     let mut start = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
     start = start.trim_ascii_start();
@@ -91,13 +91,28 @@ fn stranger(bytes: &[u8], head: &[u8]) -> Option<(String, &'static str)> {
     if looks_utf16(head) {
         return named("UTF-16 text", PLAIN_TEXT);
     }
+    None
+}
+
+/// The same of a format with a signature.
+fn signed(bytes: &[u8]) -> Option<(String, &'static str)> {
     let format = FileFormat::from(bytes);
     let expected = match format.kind() {
         // One that is cut off, whose directory stood at its end.
-        _ if start.starts_with(b"pk\x03\x04") && format == FileFormat::ArbitraryBinaryData => {
-            return named("a ZIP archive that is cut off", UNPACKED);
+        _ if format == FileFormat::ArbitraryBinaryData && bytes.starts_with(b"PK\x03\x04") => {
+            return Some(("a ZIP archive that is cut off".to_owned(), UNPACKED));
         }
-        _ if format == FileFormat::ArbitraryBinaryData => return None,
+        // Of our own formats the readers say what is wrong.
+        _ if matches!(
+            format,
+            FileFormat::ArbitraryBinaryData
+                | FileFormat::StereolithographyAscii
+                | FileFormat::PolygonAscii
+                | FileFormat::PolygonBinary
+        ) =>
+        {
+            return None;
+        }
         Kind::Archive | Kind::Compressed => UNPACKED,
         Kind::Model => TESSELLATED,
         _ => EXPECTED,
@@ -122,17 +137,23 @@ pub fn format(source: &Source) -> Result<Format, Error> {
     }
     let head = text::without_end_mark(bytes);
     let head = head[..head.len().min(PROBE)].to_ascii_lowercase();
-    if let Some((name, expected)) = stranger(bytes, &head) {
-        return Err(source.error(Place::File, name, expected));
+    let refused = |(name, expected): (String, &str)| source.error(Place::File, name, expected);
+    if let Some(other) = stranger(&head) {
+        return Err(refused(other));
     }
     let blank = |b: u8| matches!(b, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c);
-    if head.iter().any(|&b| b < b' ' && !blank(b)) {
-        // Its reader says how the sizes disagree.
-        return Ok(Format::BinaryStl);
+    let is_text = head.iter().all(|&b| b >= b' ' || blank(b));
+    match first_word(bytes).filter(|_| is_text) {
+        Some(word) if word.eq_ignore_ascii_case(b"solid") => return Ok(Format::AsciiStl),
+        Some(word) if obj::is_statement(word) => return Ok(Format::Obj),
+        _ => {}
+    }
+    if let Some(other) = signed(bytes) {
+        return Err(refused(other));
     }
     match first_word(bytes) {
-        Some(word) if word.eq_ignore_ascii_case(b"solid") => Ok(Format::AsciiStl),
-        Some(word) if obj::is_statement(word) => Ok(Format::Obj),
+        // Its reader says how the sizes disagree.
+        _ if !is_text => Ok(Format::BinaryStl),
         Some(word) => Err(source.error(
             Place::File,
             format!("{} bytes of text beginning with {}", bytes.len(), quote(word)),

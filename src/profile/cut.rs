@@ -27,9 +27,29 @@ const VARIANCE_OF_WIDTH: f64 = 0.75;
 
 /// What is left of a Gaussian line of unit width and light beyond one place.
 #[derive(Debug, Clone, Copy)]
+pub(super) struct Left {
+    pub light: f64,
+    /// Distance of its centroid from the line's.
+    pub off: f64,
+    pub variance: f64,
+}
+
+/// φ(z)/q is the mean of what lies beyond z, q being how much does, and 1 + z·φ/q − (φ/q)² its
+/// variance.
+pub(super) fn beyond(z: f64) -> Left {
+    let light = 0.5 * libm::erfc(z / SQRT_2);
+    let off = (-0.5 * z * z).exp() / TAU.sqrt() / light;
+    Left {
+        light,
+        off,
+        variance: 1.0 + z * off - off * off,
+    }
+}
+
+/// One of the remnants that lines are held against.
+#[derive(Debug, Clone, Copy)]
 struct Remnant {
     light: f64,
-    /// Distance of its centroid from the line's.
     off: f64,
     /// Variance.
     width: f64,
@@ -39,22 +59,20 @@ struct Remnant {
 }
 
 impl Remnant {
-    /// φ(z)/q is the mean of what lies beyond z, q being how much does, and
-    /// 1 + z·φ/q − (φ/q)² its variance.
     fn new(light: f64, weight: f64) -> Remnant {
         let (mut low, mut high) = (-6.0, 6.0);
         for _ in 0..50 {
             let z: f64 = (low + high) / 2.0;
-            match 0.5 * libm::erfc(z / SQRT_2) > light {
+            match beyond(z).light > light {
                 true => low = z,
                 false => high = z,
             }
         }
-        let off = (-0.5 * low * low).exp() / TAU.sqrt() / light;
+        let Left { off, variance, .. } = beyond(low);
         Remnant {
             light,
             off,
-            width: 1.0 + low * off - off * off,
+            width: variance,
             weight,
             log_light: light.ln(),
         }

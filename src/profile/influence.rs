@@ -11,8 +11,8 @@ use std::f64::consts::{PI, SQRT_2};
 /// upper half weighted by its squared counts: s²·G·y/ΣG²y². Zero crossing: the
 /// filter over its slope there.
 pub(super) fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f64)> {
-    let reach = (5.0 * sigma).ceil() as i64 + 2;
-    let last = if row == 0.0 { reach - 1 } else { reach };
+    let [first, after] = pixels(sigma, row);
+    let (reach, last) = (-first, after - 1);
     let edge = |i: i64| (i as f64 - row) / sigma;
     let share = |i: i64| 0.5 * (libm::erf(edge(i + 1) / SQRT_2) - libm::erf(edge(i) / SQRT_2));
     let density = |i: i64| (-0.5 * edge(i).powi(2)).exp() / ((2.0 * PI).sqrt() * sigma);
@@ -54,7 +54,23 @@ pub(super) fn influence(finder: PeakFinder, sigma: f64, row: f64) -> Vec<(f64, f
             (-reach..=last).map(|i| mean(i) / slope).collect()
         }
     };
-    (-reach..=last).map(share).zip(weights).collect()
+    shares(sigma, row, 1).zip(weights).collect()
+}
+
+/// Light of each of so many parts of each of these pixels.
+pub(super) fn shares(sigma: f64, row: f64, parts: usize) -> impl Iterator<Item = f64> {
+    let [first, last] = pixels(sigma, row).map(|i| i * parts as i64);
+    let below = move |part: i64| {
+        let edge = (part as f64 / parts as f64 - row) / sigma;
+        0.5 * libm::erf(edge / SQRT_2)
+    };
+    (first..last).map(move |part| below(part + 1) - below(part))
+}
+
+/// The first pixel of the line, and that after the last.
+fn pixels(sigma: f64, row: f64) -> [i64; 2] {
+    let reach = (5.0 * sigma).ceil() as i64 + 2;
+    [-reach, if row == 0.0 { reach } else { reach + 1 }]
 }
 
 /// Greatest error on an ideal line of 0.7 px and more: `tests/peaks.rs`. The centroid of

@@ -3,7 +3,8 @@
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
-//! `uncertainty` how surely; `cut` which of them edges along them cut, `clipping` what
+//! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor; `cut` which of them edges
+//! along them cut, `horizon` which ones edges may cut that single columns do not show, `clipping` what
 //! saturation leaves of them.
 
 mod adjust;
@@ -14,6 +15,7 @@ mod clipping;
 mod cut;
 mod find;
 mod fit;
+mod horizon;
 mod influence;
 mod locate;
 mod neighbourhood;
@@ -22,6 +24,7 @@ mod peak;
 mod residual_picture;
 mod slope;
 mod uncertainty;
+mod variances;
 mod widths;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
@@ -35,5 +38,6 @@ pub use find::{
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use residual_picture::residual_picture;
 pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX, SpeckleGrain,
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,
 };
+pub use variances::SpeckleGrain;

@@ -40,7 +40,8 @@ impl Neighbourhood {
         self.within(column, BESIDE).1
     }
 
-    fn within(&self, column: u32, reach: usize) -> (usize, Option<f64>) {
+    /// The same of the columns no further than `reach`.
+    pub fn within(&self, column: u32, reach: usize) -> (usize, Option<f64>) {
         let column = column as usize;
         let from = self.sums[column.saturating_sub(reach)];
         let to = self.sums[(column + reach + 1).min(self.sums.len() - 1)];

@@ -1,6 +1,7 @@
 //! What is found of the laser line in a sensor column, and what may be asked of
 //! the search.
 
+use crate::math::DVec2;
 use bitflags::bitflags;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,13 @@ pub struct Peak {
     /// rounding, 1/√12.
     pub noise: f64,
     pub flags: Flags,
+}
+
+impl Peak {
+    /// (column, row), in the middle of its column.
+    pub fn place(&self) -> DVec2 {
+        DVec2::new(self.column as f64 + 0.5, self.row)
+    }
 }
 
 bitflags! {
@@ -51,7 +59,9 @@ bitflags! {
         /// or an edge along the line leaves a tail of it, narrower than
         /// [`super::NARROW_RATIO`] of the lines around, or these than that of what is
         /// expected. Taken back where there are whole lines to compare with: what an edge
-        /// does is then in the uncertainty.
+        /// does is then in the uncertainty. Set of lines so dark and narrow beside the frame's
+        /// brightest stretch that an edge may have moved them further than is stated. In a cloud,
+        /// taken back where neighbouring frames show that the surface goes on.
         const EDGE = 1 << 5;
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.

@@ -3,25 +3,14 @@
 
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
-use super::influence::{bias, influence};
+use super::horizon::{UNSAID, offsets};
+use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
+use super::variances::{Places, SpeckleGrain, Variances, along_row};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder, WEAK_SNR};
-use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::pixel_covariance;
-
-/// Speckle of the light on the sensor.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpeckleGrain {
-    /// Minimal speckle size h = λ·d_PI/D, px.
-    pub size_px: f64,
-    /// Contrast of the light before pixels integrate it; below 1 if it is
-    /// depolarised or of several wavelengths.
-    pub contrast: f64,
-    pub aperture: Aperture,
-}
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -34,18 +23,9 @@ pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
 pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 /// Narrowest line for finders other than the centroid, whose bias is not known below.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
-/// Grains smaller than the first, px, on a line narrower than the second: the line
-/// does not light its outer pixels evenly and averages fewer grains there than the
-/// prediction takes them to, by up to [`FINE_GRAIN_VARIANCE`] of the variance, which is
-/// added.
-pub const FINE_GRAIN_PX: (f64, f64) = (0.75, 1.5);
-const FINE_GRAIN_VARIANCE: f64 = 0.15;
-
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
 /// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
-
-const NODES: usize = 96;
 
 /// How far a peak's row may be off.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,6 +36,8 @@ pub struct RowError {
     /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
     /// in which one at 45° would cut it.
     pub beside_edge: bool,
+    /// Rows a column that the line climbs, 0 where it ends or jumps.
+    pub slope: f64,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -68,8 +50,9 @@ pub struct RowError {
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with ρ the covariance of the light of two square pixels
-/// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
+/// with ρ the covariance of the light of two parts of pixels of the column
+/// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
+/// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
 /// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
@@ -80,49 +63,30 @@ pub struct RowError {
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
 /// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
-/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). What edges and clipping
+/// do is that of grains in the sensor's middle.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    /// Whether grains are fine beside a pixel.
-    fine: bool,
-    /// Relative variance of the light of a pixel.
-    pixel_variance: f64,
     cuts: Cuts,
     clipping: Clipping,
-    /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
-    nodes: Vec<Variances>,
-}
-
-/// Variances of the row of a line of one width, px².
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Variances {
-    speckle: f64,
-    /// Over K/N.
-    shot: f64,
-    /// Over (s/N)².
-    white: f64,
-    /// Relative, of the line's light, from speckle.
-    light: f64,
+    places: Places,
 }
 
 impl ErrorModel {
     /// `gain_dn_per_e`: counts per electron, 0 for light without shot noise.
     pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
-        let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
-        let (least, most) = SIGMAS_PX;
-        let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+        let columns = grain.map_or(vec![0.0], |grain| {
+            let middle = grain.resolution.as_dvec2() / 2.0;
+            along_row(&grain, middle, 2 * BESIDE + 1)
+        });
         ErrorModel {
             finder,
             gain_dn_per_e,
-            fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
-            pixel_variance: covariance[0],
-            cuts: Cuts::new(variance_of_mean(&covariance)),
-            clipping: Clipping::new(covariance[0]),
-            nodes: (0..NODES)
-                .map(|i| Variances::of(finder, sigma(i), &covariance))
-                .collect(),
+            cuts: Cuts::new(variance_of_mean(&columns)),
+            clipping: Clipping::new(columns[0]),
+            places: Places::new(finder, grain.as_ref()),
         }
     }
 
@@ -138,7 +102,8 @@ impl ErrorModel {
     /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
     /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
     /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
-    /// because an edge cuts them: what is stated holds for them. `peaks` are those of one frame,
+    /// because an edge cuts them: what is stated holds for them. Sets [`Flags::EDGE`] where one may cut
+    /// the line unseen ([`offsets`]). `peaks` are those of one frame,
     /// in the order of its `columns`; a line's width is that of its neighbourhood, as one column's
     /// is mostly speckle, and that of its climb.
     pub fn row_errors(&self, peaks: &mut [Peak], columns: usize) -> Vec<RowError> {
@@ -147,8 +112,12 @@ impl ErrorModel {
         let clipped = self.clipped(peaks, &expected);
         let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
-        let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
+        let lined = peaks.iter().zip(&sigmas);
+        let lined = lined.map(|(peak, &sigma)| self.places.at(peak.place(), sigma));
+        let variances: Vec<Variances> = lined.collect();
+        let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
         let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
+        let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
             let (expected, sigma) = (&expected[i], sigmas[i]);
@@ -159,17 +128,24 @@ impl ErrorModel {
             if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
                 peak.flags.remove(Flags::WEAK);
             }
-            let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
+            // Whether an edge is near is for neighbouring frames to say.
+            let other = Flags::OUTSIDE | Flags::EDGE;
+            let inside = peak.flags.difference(other).is_empty()
                 && expected.is_some()
-                && self.is_valid(sigma, lights[i]);
+                && self.is_valid(sigma, &variances[i]);
             peak.flags.set(Flags::OUTSIDE, !inside);
             let climb = expected.map_or(0.0, |e| e.climb);
-            let variance = self.variance(peak, sigma, climb, &clipped[i]);
+            let variance = self.variance(peak, sigma, climb, &variances[i], &clipped[i]);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
+            let sigma = (uncut + cut).sqrt();
+            if unseen[i] > UNSAID * sigma {
+                peak.flags.insert(Flags::EDGE);
+            }
             RowError {
-                sigma: (uncut + cut).sqrt(),
+                sigma,
                 beside_edge: near_ends[i] || cut > uncut,
+                slope: runs[i].slope,
             }
         };
         (0..sigmas.len()).map(of).collect()
@@ -198,7 +174,7 @@ impl ErrorModel {
         peaks.iter_mut().zip(expected).map(of).collect()
     }
 
-    fn is_valid(&self, sigma: f64, light: f64) -> bool {
+    fn is_valid(&self, sigma: f64, at: &Variances) -> bool {
         let centroid = self.finder == PeakFinder::Centroid;
         let least = if centroid {
             SIGMAS_PX.0
@@ -206,51 +182,41 @@ impl ErrorModel {
             LEAST_SHAPE_SIGMA_PX
         };
         (least..=SIGMAS_PX.1).contains(&sigma)
-            && light <= LARGEST_LIGHT_VARIANCE
-            && (centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE)
+            && at.light <= LARGEST_LIGHT_VARIANCE
+            && (centroid || at.pixel <= LARGEST_SHAPE_VARIANCE)
     }
 
     /// Variance of the row of an unbroken line of width `sigma`, px².
-    fn variance(&self, peak: &Peak, sigma: f64, climb: f64, clipped: &Clipped) -> f64 {
-        let at = self.at(sigma);
+    fn variance(
+        &self,
+        peak: &Peak,
+        sigma: f64,
+        climb: f64,
+        at: &Variances,
+        clipped: &Clipped,
+    ) -> f64 {
         let n = peak.intensity;
-        let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
-            true => FINE_GRAIN_VARIANCE,
-            false => 0.0,
-        };
-        let shape = 1.0 + uneven + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
+        let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + at.shot * self.gain_dn_per_e / n
             + at.white * (peak.noise / n).powi(2)
             + bias(self.finder, sigma).powi(2) / 3.0
     }
-
-    fn at(&self, sigma: f64) -> Variances {
-        let (least, most) = SIGMAS_PX;
-        let place = (sigma / least).max(1.0).ln() / (most / least).ln() * (NODES - 1) as f64;
-        let i = (place as usize).min(NODES - 2);
-        let share = (place - i as f64).min(1.0);
-        let (a, b) = (self.nodes[i], self.nodes[i + 1]);
-        let between = |of: fn(&Variances) -> f64| of(&a) + share * (of(&b) - of(&a));
-        Variances {
-            speckle: between(|v| v.speckle),
-            shot: between(|v| v.shot),
-            white: between(|v| v.white),
-            light: between(|v| v.light),
-        }
-    }
 }
 
 /// Whether the line, so wide, ends so near to each peak that an edge there may cut it. At the
-/// sensor's border it does not end.
+/// sensor's border, on any side, it does not end.
 fn near_ends(peaks: &[Peak], sigmas: &[f64], columns: usize) -> Vec<bool> {
     let mut near = Vec::with_capacity(peaks.len());
     for run in peaks.chunk_by(|a, b| a.column + 1 == b.column) {
-        let (first, last) = (run[0].column, run[run.len() - 1].column);
+        let ends = [run[0], run[run.len() - 1]];
+        let (first, last) = (ends[0].column, ends[1].column);
+        let [begins, ends] = ends.map(|peak| !peak.flags.contains(Flags::BORDER));
         for peak in run {
             let reach = columns_cut(sigmas[near.len()]);
-            let before = first > 0 && f64::from(peak.column - first) <= reach;
-            let after = (last as usize + 1) < columns && f64::from(last - peak.column) <= reach;
+            let before = first > 0 && begins && f64::from(peak.column - first) <= reach;
+            let after =
+                (last as usize + 1) < columns && ends && f64::from(last - peak.column) <= reach;
             near.push(before || after);
         }
     }
@@ -265,16 +231,6 @@ fn bend_variance(run: &Run, variance: f64) -> f64 {
     (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
-/// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
-/// a thousandth of it all: ∫μ² beyond r falls as (h/r)²/60.
-fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
-    let lags = (8.0 * grain.size_px).ceil().min(512.0) as usize + 1;
-    let covariance = |lag| {
-        grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
-    };
-    (0..=lags).map(covariance).collect()
-}
-
 /// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one; without
 /// speckle as if each varied by itself.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
@@ -287,65 +243,10 @@ fn variance_of_mean(covariance: &[f64]) -> f64 {
     (n as f64 + pairs / at(0)) / (n * n) as f64
 }
 
-impl Variances {
-    /// Mean over a line at a pixel's middle and one at its edge.
-    fn of(finder: PeakFinder, sigma: f64, covariance: &[f64]) -> Variances {
-        let mut sum = Variances::default();
-        for row in [0.0, 0.5] {
-            let pixels = influence(finder, sigma, row);
-            for &(light, weight) in &pixels {
-                sum.shot += weight * weight * light / 2.0;
-                sum.white += weight * weight / 2.0;
-            }
-            for (lag, c) in covariance.iter().enumerate().take(pixels.len()) {
-                // Both signs of a lag.
-                let c = if lag == 0 { c / 2.0 } else { *c };
-                for (a, b) in pixels.iter().zip(&pixels[lag..]) {
-                    sum.speckle += c * a.0 * a.1 * b.0 * b.1;
-                    sum.light += c * a.0 * b.0;
-                }
-            }
-        }
-        sum
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::speckle::theory::centroid_noise;
     use std::f64::consts::PI;
-
-    fn model(finder: PeakFinder, size_px: f64) -> ErrorModel {
-        let grain = SpeckleGrain {
-            size_px,
-            contrast: 0.5,
-            aperture: Aperture::Circle,
-        };
-        ErrorModel::new(finder, 0.0, Some(grain))
-    }
-
-    /// Pixels ≪ h ≪ σ: integration over a pixel of h/4 takes 5 % off the variance
-    /// (C = 0.975), the finite h/σ = 1/12 2 % (4 % at 1/2 by the closed form's own
-    /// check, falling with h/σ), the interpolation 0.4 %.
-    #[test]
-    fn the_law_of_centroid_noise_is_a_limit() {
-        let found = model(PeakFinder::Centroid, 4.0).at(48.0).speckle.sqrt();
-        let law = centroid_noise(4.0, 48.0, 0.5);
-        assert!((0.95..1.0).contains(&(found / law)), "{found} {law}");
-    }
-
-    /// In white noise the weights of the fit give the Cramér–Rao bound of a line of unit
-    /// light: Σw² = 4√π·σ³ for pixels ≪ σ, and the centroid's (2/3)·(4σ)³.
-    #[test]
-    fn white_noise_is_weighted_as_each_finder_does() {
-        let white = |finder| model(finder, 1.0).at(20.0).white;
-        let fit = 4.0 * PI.sqrt() * 8000.0;
-        assert!((white(PeakFinder::GaussianFit) / fit - 1.0).abs() < 0.01);
-        let centroid = 2.0 / 3.0 * 80f64.powi(3);
-        assert!((white(PeakFinder::Centroid) / centroid - 1.0).abs() < 0.01);
-        assert!(white(PeakFinder::LogParabola) > fit && white(PeakFinder::DerivativeZero) > fit);
-    }
 
     /// An even stretch of σ = W/√12 has ∫E²x²/(∫E)² = W/12, a Gaussian σ/(4√π); and the
     /// bias of a bend is the mean row less that in the middle, here summed.

@@ -44,6 +44,16 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
         &|p, run| sound(p) && run.slope.abs() <= LEVEL,
         &without_climb,
     );
+    // At an edge, or narrow one and all: they say no more than how wide they are themselves.
+    let doubtful = those(
+        &|p, _| {
+            sound(&Peak {
+                flags: p.flags.difference(Flags::EDGE),
+                ..*p
+            })
+        },
+        &without_climb,
+    );
     let wide = those(&|p, _| p.flags.contains(Flags::WIDE), &|p, _| p.sigma);
     // Means are of squares.
     let root = |p: &Peak, _: &Run| p.intensity.max(0.0).sqrt();
@@ -55,8 +65,10 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
             return None;
         }
         let Some(width) = level.around(peak.column).1.or(width) else {
+            let width = doubtful.around(peak.column).1;
+            let sigma = width.map(|width| (width * width + climb(run)).sqrt());
             return Some(Expected {
-                sigma: peak.sigma,
+                sigma: sigma.unwrap_or(peak.sigma),
                 climb: 0.0,
                 light: peak.intensity,
                 alone: true,

@@ -2,6 +2,7 @@
 //! mesh: all triangles there face the ray, by more than 6° (a sine of 0.1), and
 //! none of their edges is open.
 
+use super::laps::CHUNK;
 use super::racers::Racer;
 use super::rays::flat;
 use crate::accel::Ray;
@@ -9,6 +10,8 @@ use crate::accel::embree_race::{FlatHit, FlatRay};
 use crate::math::DVec3;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::Mesh;
+use serde::Serialize;
+use std::time::Instant;
 
 pub struct Aimed {
     pub rays: Vec<FlatRay>,
@@ -22,14 +25,27 @@ pub struct AimedRays {
 }
 
 impl Aimed {
-    /// How many rays meet nothing, or something more than `tolerance` behind what
-    /// they are aimed at.
-    pub fn missed_by(&self, racer: &dyn Racer, tolerance: f64) -> usize {
-        let mut hits = vec![FlatHit::NONE; self.rays.len()];
-        racer.closest(&self.rays, false, &mut hits);
-        let missed = |(hit, target): &(&FlatHit, &f64)| hit.t as f64 > *target + tolerance;
-        hits.iter().zip(&self.targets).filter(missed).count()
+    /// How many rays meet nothing, or something more than `tolerance` behind what they are
+    /// aimed at, and of how many that were traced before `end`.
+    pub fn missed_by(&self, racer: &dyn Racer, tolerance: f64, end: Instant) -> Asked {
+        let mut asked = Asked::default();
+        let chunks = self.rays.chunks(CHUNK).zip(self.targets.chunks(CHUNK));
+        for (rays, targets) in chunks.take_while(|_| Instant::now() < end) {
+            let mut hits = vec![FlatHit::NONE; rays.len()];
+            racer.closest(rays, false, &mut hits);
+            let missed = |(hit, target): &(&FlatHit, &f64)| hit.t as f64 > *target + tolerance;
+            asked.missed += hits.iter().zip(targets).filter(missed).count();
+            asked.rays += rays.len();
+        }
+        asked
     }
+}
+
+/// Answers to rays that must meet something.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Asked {
+    pub rays: usize,
+    pub missed: usize,
 }
 
 /// The triangles around each vertex, one after the other.

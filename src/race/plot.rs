@@ -1,11 +1,15 @@
 //! The race as a picture: a row a racer, a column a question.
 
+use super::aimed::Asked;
+use super::table::out_of_time;
 use super::{Finish, Race, Spread};
 use std::fmt::Write;
 
 const ROW: f64 = 34.0;
 const TOP: f64 = 118.0;
 const NAMES: f64 = 210.0;
+/// Of the text below.
+const LINE: f64 = 18.0;
 const COLUMN: f64 = 170.0;
 /// Longest bar; the rest of a column is for its number.
 const BAR: f64 = 108.0;
@@ -22,6 +26,8 @@ enum Cell {
     /// Edges, vertices: misses per million.
     Misses(f64, f64),
     Unknown,
+    /// Its time was over before.
+    OutOfTime,
 }
 
 impl Cell {
@@ -31,7 +37,7 @@ impl Cell {
             Cell::Seconds(s) => s.high,
             Cell::Number(n) => *n,
             Cell::Misses(edges, vertices) => edges.max(*vertices),
-            Cell::Unknown => 0.0,
+            Cell::Unknown | Cell::OutOfTime => 0.0,
         }
     }
 }
@@ -40,7 +46,8 @@ impl Cell {
 pub fn plot(race: &Race, name: &str) -> String {
     let columns = columns(race);
     let width = NAMES + COLUMN * columns.len() as f64 + 20.0;
-    let height = TOP + ROW * race.racers.len() as f64 + 84.0;
+    let late = out_of_time(race).len() as f64;
+    let height = TOP + ROW * race.racers.len() as f64 + 84.0 + LINE * late;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
          font-family=\"sans-serif\" font-size=\"12\" fill=\"#222\">\
@@ -102,33 +109,33 @@ fn columns(race: &Race) -> Vec<Column<'_>> {
             title,
             "Mrays/s, more is better",
             Box::new(move |racer| {
-                Cell::Speeds(racer.laps[k].one_thread, racer.laps[k].all_threads)
+                let laps = &racer.laps[k];
+                let speeds = laps.one_thread.zip(laps.all_threads);
+                speeds.map_or(Cell::OutOfTime, |(one, all)| Cell::Speeds(one, all))
             }),
         ));
     }
-    let million = |count: usize, of: usize| 1e6 * count as f64 / of.max(1) as f64;
+    let million = |asked: Asked| 1e6 * asked.missed as f64 / asked.rays.max(1) as f64;
     columns.push((
         "build".into(),
         "s, less is better",
-        Box::new(|racer| Cell::Seconds(racer.build_s)),
+        Box::new(|racer| racer.build_s.map_or(Cell::OutOfTime, Cell::Seconds)),
     ));
     columns.push((
         "memory".into(),
         "bytes per triangle",
-        Box::new(|racer| {
-            racer
-                .bytes_per_triangle
-                .map_or(Cell::Unknown, |b| Cell::Number(b[0]))
+        Box::new(|racer| match racer.bytes_per_triangle {
+            _ if racer.rounds == 0 => Cell::OutOfTime,
+            None => Cell::Unknown,
+            Some([held, _]) => Cell::Number(held),
         }),
     ));
     columns.push((
         "misses at edges, vertices".into(),
         "per million rays aimed there",
-        Box::new(move |racer| {
-            Cell::Misses(
-                million(racer.missed_edges, race.aimed_at_edges),
-                million(racer.missed_vertices, race.aimed_at_vertices),
-            )
+        Box::new(move |racer| match racer.rounds {
+            0 => Cell::OutOfTime,
+            _ => Cell::Misses(million(racer.edges), million(racer.vertices)),
         }),
     ));
     columns
@@ -158,6 +165,7 @@ fn draw(svg: &mut String, cell: &Cell, [x, y]: [f64; 2], scale: f64) {
             }
         }
         Cell::Unknown => bar(svg, [x, upper + 6.0, thick], [0.0; 2], ALL, "as Embree's"),
+        Cell::OutOfTime => bar(svg, [x, upper + 6.0, thick], [0.0; 2], BAD, "out of time"),
     }
 }
 
@@ -214,8 +222,9 @@ fn legend(svg: &mut String, race: &Race, bottom: f64) {
         "A miss is a ray aimed at an edge (upper bar) or a vertex (lower bar) of triangles that face it, which meets nothing there."
             .into(),
     ];
-    for (i, line) in lines.iter().enumerate() {
-        let y = bottom + 26.0 + 18.0 * i as f64;
+    let late = out_of_time(race);
+    for (i, line) in lines.iter().chain(&late).enumerate() {
+        let (y, line) = (bottom + 26.0 + LINE * i as f64, escaped(line));
         let _ = write!(svg, "<text x=\"16\" y=\"{y}\" fill=\"#444\">{line}</text>");
     }
 }

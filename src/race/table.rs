@@ -4,8 +4,22 @@ use super::{Race, Spread};
 use std::fmt::Write;
 
 /// "12.3 ±0.4": the median and half the distance between the quartiles.
-fn spread(s: &Spread) -> String {
-    format!("{:.2} ±{:.2}", s.median, (s.high - s.low) / 2.0)
+fn spread(s: Option<Spread>) -> String {
+    s.map_or("-".into(), |s| {
+        format!("{:.2} ±{:.2}", s.median, (s.high - s.low) / 2.0)
+    })
+}
+
+/// What the time was too short for, a line a racer.
+pub fn out_of_time(race: &Race) -> Vec<String> {
+    let late = race.racers.iter().filter_map(|racer| {
+        let what = racer.out_of_time.as_ref()?;
+        Some(format!(
+            "{}: out of its {} s: {what}",
+            racer.name, race.effort.seconds
+        ))
+    });
+    late.collect()
 }
 
 /// A table of all that was measured, and below it what the columns mean.
@@ -28,12 +42,21 @@ pub fn table(race: &Race) -> String {
             None => format!("{:>10} {:>10}", "-", "-"),
         };
         let wrong: usize = racer.laps.iter().map(|laps| laps.wrong).sum();
-        let build = spread(&racer.build_s);
-        let _ = writeln!(
-            text,
-            "{:<26} {build:>14} {bytes} {wrong:>9} {:>9} {:>9}",
-            racer.name, racer.missed_edges, racer.missed_vertices
-        );
+        let build = spread(racer.build_s);
+        let found = match racer.rounds {
+            0 => format!("{:>9} {:>9} {:>9}", "-", "-", "-"),
+            _ => format!(
+                "{wrong:>9} {:>9} {:>9}",
+                racer.edges.missed, racer.vertices.missed
+            ),
+        };
+        let _ = writeln!(text, "{:<26} {build:>14} {bytes} {found}", racer.name);
+    }
+    for line in out_of_time(race) {
+        let _ = write!(text, "\n{line}");
+    }
+    if race.racers.iter().any(|racer| racer.out_of_time.is_some()) {
+        text.push('\n');
     }
     let kinds = race.racers.first().map_or(0, |racer| racer.laps.len());
     let _ = write!(
@@ -49,7 +72,11 @@ pub fn table(race: &Race) -> String {
     text
 }
 
-fn speeds(text: &mut String, race: &Race, which: impl Fn((Spread, Spread)) -> Spread) {
+fn speeds(
+    text: &mut String,
+    race: &Race,
+    which: impl Fn((Option<Spread>, Option<Spread>)) -> Option<Spread>,
+) {
     let _ = write!(text, "{:<26}", "");
     for laps in race.racers.iter().take(1).flat_map(|racer| &racer.laps) {
         let _ = write!(text, " {:>14}", laps.kind);
@@ -59,7 +86,7 @@ fn speeds(text: &mut String, race: &Race, which: impl Fn((Spread, Spread)) -> Sp
         let _ = write!(text, "{:<26}", racer.name);
         for laps in &racer.laps {
             let rate = which((laps.one_thread, laps.all_threads));
-            let _ = write!(text, " {:>14}", spread(&rate));
+            let _ = write!(text, " {:>14}", spread(rate));
         }
         text.push('\n');
     }

@@ -7,6 +7,7 @@ use crate::mesh::shapes;
 const EFFORT: Effort = Effort {
     rays: 4000,
     rounds: 1,
+    seconds: 1e3,
 };
 
 /// All answer as brute force does (f32 is wrong at an edge with chance below 1e-4 a
@@ -14,18 +15,19 @@ const EFFORT: Effort = Effort {
 #[test]
 fn all_racers_find_the_same_hits() {
     let mesh = shapes::sphere(5.0, 0.01).unwrap();
-    let race = race(&mesh, EFFORT, &|| Ok(())).unwrap();
-    assert_eq!(race.racers.len(), RACERS);
+    let race = race(&mesh, EFFORT, &|_| (), &|| Ok(())).unwrap();
+    assert_eq!(race.racers.len(), racers::RACERS);
     assert!(race.aimed_at_edges > 1000 && race.aimed_at_vertices > 1000);
     for racer in &race.racers {
         for laps in &racer.laps {
             assert!(laps.wrong < 9, "{}: {laps:?}", racer.name);
-            assert!(laps.one_thread.median > 0.0 && laps.all_threads.median.is_finite());
+            let [one, all] = [laps.one_thread, laps.all_threads].map(Option::unwrap);
+            assert!(one.median > 0.0 && all.median.is_finite());
         }
     }
     let rust = race.racers.iter().find(|r| r.name.contains("Rust"));
     let rust = rust.unwrap();
-    assert_eq!((rust.missed_edges, rust.missed_vertices), (0, 0));
+    assert_eq!((rust.edges.missed, rust.vertices.missed), (0, 0));
     let held = rust.bytes_per_triangle.unwrap();
     assert!(held[0] > 4.0 && held[1] >= held[0], "{held:?}");
     let (svg, text) = (plot(&race, "a & b"), table(&race));
@@ -43,7 +45,10 @@ fn misses_and_wrong_answers_are_counted() {
     }
     let mesh = centred(&shapes::sphere(5.0, 0.1).unwrap());
     let aimed = aimed::rays(&mesh, 500);
-    assert_eq!(aimed.edges.missed_by(&Blind, 1e-3), aimed.edges.rays.len());
+    let later = Instant::now() + Duration::from_secs(1000);
+    let asked = aimed.edges.missed_by(&Blind, 1e-3, later);
+    let all = aimed.edges.rays.len();
+    assert_eq!((asked.rays, asked.missed), (all, all));
     let accel = Accel::build(&mesh, 1).unwrap();
     let [camera, ..] = rays::sets(&accel, 900);
     let truth = truth(&mesh, &camera, 900);
@@ -61,4 +66,55 @@ fn nothing_open_is_aimed_at() {
     let aimed = aimed::rays(&mesh, 300);
     assert_eq!(aimed.vertices.rays.len(), 0);
     assert!(!aimed.edges.rays.is_empty() && aimed.edges.rays.len() < 200);
+}
+
+/// With no time there is no answer, and the table and the plot say so of each racer; with
+/// hardly any, builds are made once and some of the rays are left.
+#[test]
+fn who_runs_out_of_time_is_reported() {
+    let mesh = shapes::sphere(5.0, 0.01).unwrap();
+    let mut runs = racers::entrants().map(|entrant| RacerRun::new(entrant, 60.0));
+    let effort = Effort {
+        rays: 20_000,
+        rounds: 2,
+        seconds: 50.0,
+    };
+    let centred = centred(&mesh);
+    let course = Course::new(&centred, effort).unwrap();
+    for run in &mut runs {
+        run.round(&course).unwrap();
+    }
+    let mut race = race(&mesh, EFFORT, &|_| (), &|| Ok(())).unwrap();
+    race.racers = runs.into_iter().map(|run| run.finish(&course)).collect();
+    let (svg, text) = (plot(&race, "a"), table(&race));
+    assert_eq!(
+        text.matches("not built, which would take about 60 s")
+            .count(),
+        racers::RACERS
+    );
+    assert_eq!(svg.matches("not built").count(), racers::RACERS);
+    assert!(svg.matches("out of time").count() > racers::RACERS && !svg.contains("NaN"));
+    assert_eq!(longest(&[60.0; 3], effort), 50.0);
+    assert_eq!(longest(&[10.0, 60.0], effort), 95.0);
+
+    let hurried = Effort {
+        seconds: 1e-9,
+        ..effort
+    };
+    let race = super::race(&mesh, hurried, &|_| (), &|| Ok(())).unwrap();
+    for racer in &race.racers {
+        assert_eq!(racer.rounds, 1, "{}", racer.name);
+        assert!(racer.out_of_time.is_some(), "{}", racer.name);
+    }
+    let steps = std::cell::Cell::new(0);
+    let count = || {
+        steps.set(steps.get() + 1);
+        Ok(())
+    };
+    super::race(&mesh, EFFORT, &|_| (), &count).unwrap();
+    assert!(steps.get() <= EFFORT.steps());
+    let stopped = super::race(&mesh, EFFORT, &|_| (), &|| {
+        Err(crate::error::Error::Interrupted)
+    });
+    assert!(matches!(stopped, Err(crate::error::Error::Interrupted)));
 }

@@ -296,4 +296,72 @@ mod tests {
             assert_eq!((there.sensor, there.u), (DVec2::ZERO, 0.0));
         }
     }
+
+    /// u(t) of paths that go on, come back, stand still, cross a strip in one step and go
+    /// far in another: the reference of a strip stays the same as long as the pupil stands
+    /// on it, strips come and go at its rim alone, and no two visits share phasors.
+    #[test]
+    fn references_change_only_when_the_pupil_has_left_their_strip() {
+        let paths: [&dyn Fn(f64) -> f64; 4] = [
+            &|k| 0.02 * k,
+            &|k| 0.7 * (0.11 * k).sin(),
+            &|k| if k < 80.0 { 0.013 * k } else { 1.04 },
+            &|k| 0.9 * (0.5 * k).sin() + if k > 60.0 { 5.0 } else { 0.0 },
+        ];
+        for (which, angle) in paths.into_iter().enumerate() {
+            let poses: Vec<Rigid> = (0..150).map(|k| pose(angle(k as f64))).collect();
+            let anchor = PathAnchor::new(view(), poses, 660e-6);
+            let pose = |place: f64| Rigid::translation(DVec3::X * place);
+            let width = 1.0;
+            let fine = 2e-3;
+            let mut last: Option<[Reference; 2]> = None;
+            let mut phasors: Vec<(f64, f64, f64)> = Vec::new();
+            for place in (0..75_000).map(|i| fine * i as f64 - 0.5) {
+                let u = anchor.coordinate(place).u;
+                let both = anchor.references(place, width, pose);
+                for now in &both {
+                    let middle = Strip::middle(now.number, width);
+                    assert!(now.at.sensor.is_finite() && now.at.pupil.shift.is_finite());
+                    let place = now.part_from_head.translation.x;
+                    assert!(place.is_finite(), "{which} {place}");
+                    let before = last.iter().flatten().find(|r| r.number == now.number);
+                    // The pupil, up to half a diameter beside its middle, is on the strip.
+                    let step = (anchor.coordinate(place + fine).u - u).abs();
+                    let stands = (u - middle).abs() < width - 2.0 * fine - step.min(0.5);
+                    if let Some(before) = before.filter(|_| stands) {
+                        assert_eq!(before, now, "{which} {place}");
+                    }
+                    let known = phasors
+                        .iter()
+                        .find(|p| p.0 == now.number && p.1 == now.aside);
+                    match known {
+                        Some(known) => assert_eq!(known.2, place, "{which}"),
+                        None => phasors.push((now.number, now.aside, place)),
+                    }
+                }
+                last = Some(both);
+            }
+        }
+    }
+
+    /// A turn about the line that halves the angle between laser and camera leaves
+    /// the speckle in the pupil where it is. References stay within half a radian.
+    #[test]
+    fn references_are_near_where_speckle_hardly_crosses_the_pupil() {
+        let to_laser = DVec3::Z;
+        let to_camera = view().pupil_centre.normalize();
+        let axis = (to_laser + to_camera).normalize();
+        let pose = |k: f64| Rigid {
+            rotation: DMat3::from_axis_angle(axis, -0.01 * k),
+            translation: DVec3::ZERO,
+        };
+        let anchor = PathAnchor::new(view(), (0..2).map(|k| pose(k as f64)), 660e-6);
+        for place in [0.0, 31.4, 300.0, 1e5] {
+            for reference in anchor.references(place, 1.0, pose) {
+                let motion = pose(place).inverse() * reference.part_from_head;
+                let turn = rotation_vector(&motion.rotation).length();
+                assert!(turn < FARTHEST * (1.0 + 1e-6), "{place}: {turn}");
+            }
+        }
+    }
 }

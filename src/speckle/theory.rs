@@ -4,6 +4,9 @@
 use super::pattern::Aperture;
 use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
+use glam::DMat2;
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::PI;
 
 impl Aperture {
     /// Correlation μ of the speckle *fields* at two points of the sensor,
@@ -54,23 +57,39 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
-/// Covariance of the light of two square pixels of pitch p = q·h that lie `lag`
-/// pixels apart along the pupil's height, for fully developed speckle of mean 1:
-/// ∬Λ(x)Λ(y − lag)·μ²(qx, qy) dx dy; at no lag the square of
-/// [`integrated_contrast`]. By the same quadrature; past 16 grains a pixel it is
-/// that of 16, falling as 1/q², which is 2 % of it off.
-pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
-    let fine = q.min(16.0);
-    let nodes = panels((2.0 * fine).ceil().max(2.0) as usize);
-    let along = nodes.iter().flat_map(|&(y, w)| [(y, w), (-y, w)]);
-    let covariance: f64 = along
-        .flat_map(|y| nodes.iter().map(move |&x| (x, y)))
-        .map(|((x, wx), (y, wy))| {
-            let mu = aperture.field_correlation(fine * DVec2::new(x, y + lag));
-            2.0 * wx * wy * (1.0 - x) * (1.0 - y.abs()) * mu * mu
-        })
-        .sum();
-    covariance * (fine / q).powi(2)
+/// Covariance of the light of two pixels that lie `lag` (columns, rows) apart: of two
+/// [strips](strip_covariance) as high as pixels.
+pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
+    strip_covariance(aperture, grains, 1.0, lag)
+}
+
+/// Covariance of the light of two strips of pixels, each a pixel wide and `high` pixels high,
+/// that lie `lag` (columns, rows) apart, for fully developed speckle of mean 1:
+/// ∬Λ(x)Λ(y)·μ²(G·((x, high·y) + lag)) dx dy with Λ(x) = 1 − |x| within ±1, G the grains by
+/// column and by row, in the pupil's axes
+/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)); for whole pixels,
+/// G = q·1 and no lag the square of [`integrated_contrast`]. By Gauss–Legendre quadrature with
+/// panels of eight nodes for half a grain each; past 16 grains a side it is that of 16, falling
+/// with their number, which is 2 % of it off for whole pixels.
+pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2) -> f64 {
+    let across = [grains.x_axis.length(), grains.y_axis.length() * high];
+    let share = (16.0 / across[0].max(across[1])).min(1.0);
+    let both_sides = |grains: f64| {
+        let nodes = panels((2.0 * share * grains).ceil().max(1.0) as usize);
+        let sides = nodes.into_iter().flat_map(|(x, w)| [(x, w), (-x, w)]);
+        let triangle = sides.map(|(x, w)| (x, w * (1.0 - x.abs())));
+        triangle.collect::<Vec<_>>()
+    };
+    let [columns, rows] = across.map(both_sides);
+    let of_row = |&(y, wy): &(f64, f64)| {
+        let row = columns.iter().map(|&(x, wx)| {
+            let place = DVec2::new(x, high * y) + lag;
+            let mu = aperture.field_correlation(share * (grains * place));
+            wx * mu * mu
+        });
+        wy * row.sum::<f64>()
+    };
+    rows.iter().map(of_row).sum::<f64>() * share * share
 }
 
 /// Contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre
@@ -139,6 +158,77 @@ pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
     contrast * (32.0 / (3.0 * pi * pi) * h * sigma / (4.0 * pi.sqrt())).sqrt()
 }
 
+/// κ of the centroid noise that defocus adds to a line in fully developed speckle,
+/// std² = std₀² + (κ·b)²·h/σ for each column of the image: b the diameter of the blur (the
+/// pupil's width, on the sensor), h the minimal speckle size, σ the standard deviation of the
+/// line's sharp image, std₀ the noise in focus ([`centroid_noise`]); times the contrast of
+/// the light. `sigma` is σ/h, clamped to 0.25–16; a square pixel is `q` grains wide.
+///
+/// In the pupil one column's field is B₀(p)·exp(iπbhp²), B₀ circular Gaussian noise of the
+/// covariance min(c(p), c(p′))·exp(−2π²σ²(p−p′)²), c(p) the pupil's chord across the column,
+/// |p| ≤ 1/(2h) (Goodman 2007, sections 4.4 and 4.5): the centroid moves by
+/// b·h·∫p|B₀|²/∫|B₀|², whose variance is that of a ratio of quadratic forms,
+/// ∫₀^∞ t·Σ λᵢλⱼPᵢⱼ²/((1+tλᵢ)(1+tλⱼ))·Π 1/(1+tλ) dt over the covariance's eigenvalues λ, P
+/// being p among its eigenvectors (Magnus 1986). Pixels enter by first order, as the mean of
+/// the columns within them. σ ≫ h, q → 0: √(4/(15·π^2.5)) = 0.1235 for a disc,
+/// (24√π)^−½ = 0.1533 for a square. For a blur that does not change along the line, of an
+/// evenly lit pupil.
+pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
+    let sigma = sigma.clamp(0.25, 16.0);
+    let half = match aperture {
+        Aperture::Ellipse { ratio } => 0.5 * ratio,
+        _ => 0.5,
+    };
+    let chord = |x: f64| match aperture {
+        Aperture::Square => 1.0,
+        _ => (1.0 - x * x).sqrt(),
+    };
+    // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
+    let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
+    let nodes: Vec<[f64; 3]> = (rule.iter())
+        .map(|&(x, w)| [half * (2.0 * x - 1.0), w, chord(2.0 * x - 1.0)])
+        .collect();
+    let n = nodes.len();
+    let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
+    let covariance = DMatrix::from_fn(n, n, |i, j| {
+        let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
+        (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
+    });
+    let first_order = |columns: &[(f64, f64)]| -> f64 {
+        let pair = |i: usize, j: usize| {
+            let chord = nodes[i][2].min(nodes[j][2]);
+            let mean = columns.iter().map(|(x, w)| w * sinc(chord * q * x).powi(2));
+            nodes[i][0] * nodes[j][0] * covariance[(i, j)].powi(2) * mean.sum::<f64>()
+        };
+        (0..n)
+            .flat_map(|i| (0..n).map(move |j| (i, j)))
+            .map(|(i, j)| pair(i, j))
+            .sum()
+    };
+    let columns = panels((2.0 * q).ceil().max(1.0) as usize).into_iter();
+    let columns: Vec<_> = columns.map(|(x, w)| (x, 2.0 * w * (1.0 - x))).collect();
+    let of_pixel = first_order(&columns) / first_order(&[(0.0, 1.0)]);
+    let modes = covariance.symmetric_eigen();
+    let vectors = &modes.eigenvectors;
+    let places = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|p| p[0])));
+    let places = vectors.transpose() * places * vectors;
+    // t from 0 to ∞.
+    let variance = gauss_legendre(48).into_iter().map(|(u, weight)| {
+        let t = 4.0 * u / (1.0 - u);
+        let damped = modes
+            .eigenvalues
+            .map(|mode| mode.max(0.0) / (1.0 + t * mode.max(0.0)));
+        let spread = &places * DMatrix::from_diagonal(&damped);
+        let all: f64 = modes
+            .eigenvalues
+            .iter()
+            .map(|mode| (t * mode.max(0.0)).ln_1p())
+            .sum();
+        weight * 4.0 / (1.0 - u).powi(2) * t * (&spread * &spread).trace() * (-all).exp()
+    });
+    (variance.sum::<f64>() * sigma * of_pixel).sqrt()
+}
+
 /// Nodes and weights on [0, 1], eight in each of the `panels`.
 fn panels(panels: usize) -> Vec<(f64, f64)> {
     let rule = gauss_legendre(8);
@@ -166,6 +256,10 @@ pub(super) fn sinc(r: f64) -> f64 {
     let x = std::f64::consts::PI * r;
     if x.abs() < 1e-6 { 1.0 } else { x.sin() / x }
 }
+
+#[cfg(test)]
+#[path = "theory_defocus_tests.rs"]
+mod defocus_tests;
 
 #[cfg(test)]
 mod tests {
@@ -197,13 +291,17 @@ mod tests {
         for aperture in [Aperture::Circle, Aperture::Square] {
             for q in [0.3, 1.0, 3.0] {
                 let contrast = integrated_contrast(aperture, q);
-                let none = pixel_covariance(aperture, q, 0.0);
+                let even = DMat2::from_diagonal(DVec2::splat(q));
+                let none = pixel_covariance(aperture, even, DVec2::ZERO);
                 assert!((none / contrast.powi(2) - 1.0).abs() < 1e-9, "{q}");
             }
         }
         for q in [0.5, 1.0] {
             let sum: f64 = (-200..=200)
-                .map(|lag| pixel_covariance(Aperture::Square, q, lag as f64))
+                .map(|lag| DVec2::new(0.0, lag as f64))
+                .map(|lag| {
+                    pixel_covariance(Aperture::Square, DMat2::from_diagonal(DVec2::splat(q)), lag)
+                })
                 .sum();
             let across: f64 = gauss_legendre(4)
                 .iter()
@@ -211,6 +309,26 @@ mod tests {
                 .sum();
             let beyond = 2.0 / (200.0 * (std::f64::consts::PI * q).powi(2));
             assert!((sum - across / q).abs() < beyond + 1e-6, "{q}: {sum}");
+        }
+    }
+
+    /// Grains stretched, turned and sheared: against the mean over pairs of 16 × 16 points of
+    /// both pixels, midpoints that are off by (|G|/16)²/24 times the curvature of μ²,
+    /// π²/2, twice.
+    #[test]
+    fn the_covariance_of_pixels_under_stretched_grains_is_that_of_pairs_of_points() {
+        let turn = DMat2::from_angle(0.7);
+        let grains = turn * DMat2::from_cols(DVec2::new(0.9, 0.2), DVec2::new(-0.1, 0.4));
+        let point = |i: usize| (i as f64 + 0.5) / 16.0;
+        let points = || (0..256).map(|i| DVec2::new(point(i % 16), point(i / 16)));
+        for aperture in [Aperture::Circle, Aperture::Ellipse { ratio: 0.6 }] {
+            for lag in [DVec2::ZERO, DVec2::new(0.0, 1.0), DVec2::new(2.0, -1.0)] {
+                let pairs = points().flat_map(|a| points().map(move |b| b - a));
+                let mu = pairs.map(|off| aperture.field_correlation(grains * (off + lag)));
+                let mean = mu.map(|mu| mu * mu).sum::<f64>() / 65536.0;
+                let found = pixel_covariance(aperture, grains, lag);
+                assert!((found - mean).abs() < 2e-3, "{lag}: {found} {mean}");
+            }
         }
     }
 

@@ -12,6 +12,17 @@ pub enum Encoding {
     Big,
 }
 
+impl Encoding {
+    fn named(name: &[u8]) -> Option<Encoding> {
+        Some(match name {
+            b"ascii" => Encoding::Ascii,
+            b"binary_little_endian" => Encoding::Little,
+            b"binary_big_endian" => Encoding::Big,
+            _ => return None,
+        })
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scalar {
     I8,
@@ -121,18 +132,11 @@ pub fn read<'a>(
             [b"ply"] if lines.number == 1 => {}
             [] | [b"comment" | b"obj_info", ..] => {}
             [b"format", name, b"1.0"] if encoding.is_none() => {
-                encoding = Some(match name {
-                    b"ascii" => Encoding::Ascii,
-                    b"binary_little_endian" => Encoding::Little,
-                    b"binary_big_endian" => Encoding::Big,
-                    _ => {
-                        return Err(source.error(
-                            place,
-                            quote(name),
-                            "ascii, binary_little_endian or binary_big_endian",
-                        ));
-                    }
-                });
+                encoding = Encoding::named(name);
+                if encoding.is_none() {
+                    let expected = "ascii, binary_little_endian or binary_big_endian";
+                    return Err(source.error(place, quote(name), expected));
+                }
             }
             [b"element", name, count] => {
                 let parsed = std::str::from_utf8(count).ok().and_then(|c| c.parse().ok());
@@ -152,19 +156,15 @@ pub fn read<'a>(
                 });
             }
             [b"property", ref rest @ ..] => {
-                let property = property(rest).zip(elements.last_mut());
-                let Some((property, element)) = property else {
-                    let expected =
-                        "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
-                    return Err(source.error(place, quote(line), expected));
-                };
+                let (property, element) = property(rest)
+                    .zip(elements.last_mut())
+                    .ok_or_else(|| source.error(place, quote(line), PROPERTY))?;
                 if !properties.insert(property.name) {
-                    let found = format!(
-                        "a second property {} of element {}",
-                        quote(property.name),
-                        quote(element.name)
-                    );
-                    return Err(source.error(place, found, "each property once"));
+                    return Err(source.error(
+                        place,
+                        second(&property, element),
+                        "each property once",
+                    ));
                 }
                 element.properties.push(property);
             }
@@ -179,6 +179,13 @@ pub fn read<'a>(
     }
     let end = Place::Line(lines.number);
     Err(source.error(end, "the end of the file (is it cut off?)", "end_header"))
+}
+
+const PROPERTY: &str = "\"property TYPE NAME\" or \"property list TYPE TYPE NAME\" of an element";
+
+fn second(property: &Property, element: &Element) -> String {
+    let [property, element] = [property.name, element.name].map(quote);
+    format!("a second property {property} of element {element}")
 }
 
 fn property<'a>(words: &[&'a [u8]]) -> Option<Property<'a>> {

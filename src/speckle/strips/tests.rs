@@ -58,6 +58,11 @@ impl Way {
         -PI * self.slip / fields.spec().texels_per_speckle * change / 4.0
     }
 
+    /// Texels, along the axes of the plane, for a shift of the pupil times a defocus.
+    fn slipped(&self, fields: &FrameFields, shift: DVec2) -> DVec2 {
+        fields.on_plane(shift) * (self.slip / fields.spec().pupil_width())
+    }
+
     /// Intensities a grain apart and `by` texels off, of a surface that does not move.
     fn read(&self, fields: &FrameFields, u: f64, side: usize, by: DVec2) -> Vec<f64> {
         let numbers = Strip::numbers(u, fields.strip_width());
@@ -72,7 +77,7 @@ impl Way {
         });
         let field = fields.strips(self.pupil(u), self.along, &strips);
         let to_middle = strips.map(|strip| strip.reference - self.pupil(u));
-        let slips = to_middle.map(|way| -self.slip * self.defocus(u) * way);
+        let slips = to_middle.map(|way| self.slipped(fields, -self.defocus(u) * way));
         grid(side)
             .map(|at| field.intensity(slips.map(|slip| at + by + slip)) as f64)
             .collect()
@@ -162,7 +167,12 @@ fn strips_slip_by_the_formula_without_jumps() {
         let (mean, deviation) = moments(&before);
         assert!((mean - 1.0).abs() < 0.02, "{u}: mean {mean}");
         assert!((deviation / mean - 1.0).abs() < 0.02, "{u}: {deviation}");
-        let after = way.read(&fields, u + delta, 384, -way.along * way.slip * delta);
+        let after = way.read(
+            &fields,
+            u + delta,
+            384,
+            way.slipped(&fields, -way.along * delta),
+        );
         let (found, law) = (correlation(&before, &after), overlap_correlation(delta));
         assert!((found - law).abs() < 0.03, "{u}: {found} {law}");
     }
@@ -195,7 +205,7 @@ fn a_change_of_the_distance_counts_once() {
             let mean = (way.defocus(u + delta) + way.defocus(u)) / 2.0;
             let law = overlap_correlation_defocused(delta, way.phase(&fields, change));
             let before = way.read(&fields, u, 384, DVec2::ZERO);
-            let by = -way.along * way.slip * delta * mean;
+            let by = way.slipped(&fields, -way.along * delta * mean);
             let found = correlation(&before, &way.read(&fields, u + delta, 384, by));
             assert!((found - law).abs() < 0.03, "{angle} {u}: {found} for {law}");
         }

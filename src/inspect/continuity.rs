@@ -1,0 +1,124 @@
+//! Whether the surface goes on where one frame alone cannot tell.
+
+use super::cloud::CloudPoint;
+use super::coverage::HeadPose;
+use crate::laser::Laser;
+use crate::profile::Flags;
+use rayon::prelude::*;
+
+/// Beam radii (1/e²) by which the sheet of another frame is off a point at least: an edge that
+/// cuts the beam here is then 2 σ and more beyond the light there, or out of it.
+const APART: f64 = 2.0;
+
+/// Standard uncertainties by which a point may lie off the straight line between those of the
+/// frames before and after. Errors of three points make 1.22 standard ones of that distance;
+/// what is off by more than three expanded uncertainties lies further from it.
+const OFF_CHORD: f64 = 6.0;
+
+/// Columns to either side whose light is averaged: speckle leaves a few grains.
+const NEAR: u32 = 8;
+
+/// Share of its light that a line has at the end of the surface: an edge through the middle of
+/// the beam leaves as much.
+const HALF: f64 = 0.5;
+
+/// Sets and takes back [`Flags::EDGE`] by what the nearest frames before and after show that are
+/// beyond the beam's reach. `points` are in the order of frames, then columns; `scanned` are the
+/// frames that were taken, in order.
+///
+/// It is taken back where the surface goes on: where the columns beside have points too, and the
+/// point lies on a line with those of its column in the two frames. A narrow line is then that
+/// of a surface seen at a grazing view, which an edge would end to one side.
+///
+/// It is set where the surface ends to one side and half the light is missing beside the frame to
+/// the other: an edge may cut the whole line, and nothing in its frame shows it.
+pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], laser: &Laser) {
+    let cloud = Cloud {
+        points,
+        scanned,
+        laser,
+    };
+    let flags: Vec<Flags> = points.par_iter().map(|point| cloud.flags(point)).collect();
+    for (point, flags) in points.iter_mut().zip(flags) {
+        point.flags = flags;
+    }
+}
+
+struct Cloud<'a> {
+    points: &'a [CloudPoint],
+    scanned: &'a [(u32, HeadPose)],
+    laser: &'a Laser,
+}
+
+impl Cloud<'_> {
+    fn flags(&self, point: &CloudPoint) -> Flags {
+        let frame = |(frame, _): &(u32, HeadPose)| *frame;
+        let Ok(i) = self.scanned.binary_search_by_key(&point.frame, frame) else {
+            return point.flags;
+        };
+        let apart = |(_, pose): &&(u32, HeadPose)| {
+            let in_laser = pose.part_from_laser.inverse().point(point.position);
+            in_laser.y.abs() >= APART * self.laser.beam.radius(in_laser.length())
+        };
+        let before = self.scanned[..i].iter().rev().find(apart).map(frame);
+        let after = self.scanned[i + 1..].iter().find(apart).map(frame);
+        let mut flags = point.flags;
+        if flags.contains(Flags::EDGE) && self.goes_on(point, before, after) {
+            flags.remove(Flags::EDGE);
+        }
+        if self.ends_dark(point, before, after) {
+            flags.insert(Flags::EDGE);
+        }
+        flags
+    }
+
+    fn goes_on(&self, point: &CloudPoint, before: Option<u32>, after: Option<u32>) -> bool {
+        let line = |frame: Option<u32>, column: Option<u32>| {
+            let key = |p: &CloudPoint| (p.frame, p.column);
+            let found = self.points.binary_search_by_key(&(frame?, column?), key);
+            let found = &self.points[found.ok()?];
+            is_one_line(found).then_some(found)
+        };
+        let beside = [point.column.checked_sub(1), point.column.checked_add(1)];
+        if !is_one_line(point) || beside.iter().any(|&c| line(Some(point.frame), c).is_none()) {
+            return false;
+        }
+        let column = Some(point.column);
+        let (Some(before), Some(after)) = (line(before, column), line(after, column)) else {
+            return false;
+        };
+        let Some(along) = (after.position - before.position).try_normalize() else {
+            return false;
+        };
+        let off = (point.position - before.position).reject_from_normalized(along);
+        off.length() <= OFF_CHORD * point.sigma
+    }
+
+    fn ends_dark(&self, point: &CloudPoint, before: Option<u32>, after: Option<u32>) -> bool {
+        let light = |frame: Option<u32>| self.light(frame?, point.column);
+        match (light(before), light(after)) {
+            (Some(other), None) | (None, Some(other)) => {
+                light(Some(point.frame)).is_some_and(|here| here < HALF * other)
+            }
+            _ => false,
+        }
+    }
+
+    /// Mean light of the lines around a column of a frame, counts; `None` where half the columns
+    /// have none.
+    fn light(&self, frame: u32, column: u32) -> Option<f64> {
+        let to = |column: u32| {
+            let before = |p: &CloudPoint| (p.frame, p.column) < (frame, column);
+            self.points.partition_point(before)
+        };
+        let lines = &self.points[to(column.saturating_sub(NEAR))..to(column + NEAR + 1)];
+        let sum: f64 = lines.iter().map(|p| p.intensity).sum();
+        (lines.len() > NEAR as usize).then(|| sum / lines.len() as f64)
+    }
+}
+
+/// Whether nothing but an edge is suspected.
+fn is_one_line(point: &CloudPoint) -> bool {
+    let other = Flags::DOUBLE | Flags::WIDE | Flags::WEAK | Flags::BORDER;
+    !point.flags.intersects(other)
+}

@@ -1,0 +1,104 @@
+//! Rays against the clock.
+
+use super::racers::Racer;
+use super::rays::RaySet;
+use crate::accel::embree_race::{FlatHit, FlatRay};
+use cpu_time::ThreadTime;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// Rays a thread takes at a time; the clock is asked in between.
+pub const CHUNK: usize = 128;
+
+/// One lap: how fast, and how many of the rays were traced before its time was over.
+#[derive(Debug, Clone, Copy)]
+pub struct Lap {
+    /// Million rays a second.
+    pub rate: f64,
+    pub rays: usize,
+}
+
+/// At the speed of this thread's processor time.
+pub fn one_thread(racer: &dyn Racer, set: &RaySet, most: Duration) -> Lap {
+    let mut answers = Answers::new(set);
+    let end = Instant::now() + most;
+    let start = ThreadTime::now();
+    let rays = answers.fill(racer, set, Some(end));
+    let seconds = start.elapsed().as_secs_f64();
+    std::hint::black_box(&answers);
+    Lap {
+        rate: rays as f64 / seconds * 1e-6,
+        rays,
+    }
+}
+
+/// At the speed of wall time.
+pub fn all_threads(racer: &dyn Racer, set: &RaySet, most: Duration) -> Lap {
+    let mut answers = Answers::new(set);
+    let done = AtomicUsize::new(0);
+    let start = Instant::now();
+    let in_time = |rays: usize| {
+        let time_left = start.elapsed() < most;
+        done.fetch_add(if time_left { rays } else { 0 }, Ordering::Relaxed);
+        time_left
+    };
+    let chunks = set.rays.par_chunks(CHUNK);
+    match &mut answers {
+        Answers::Hits(hits) => (chunks.zip(hits.par_chunks_mut(CHUNK)))
+            .filter(|(rays, _)| in_time(rays.len()))
+            .for_each(|(rays, hits)| racer.closest(rays, set.coherent, hits)),
+        Answers::Blocked(blocked) => (chunks.zip(blocked.par_chunks_mut(CHUNK)))
+            .filter(|(rays, _)| in_time(rays.len()))
+            .for_each(|(rays, blocked)| racer.occluded(rays, set.coherent, blocked)),
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    std::hint::black_box(&answers);
+    let rays = done.into_inner();
+    Lap {
+        rate: rays as f64 / seconds * 1e-6,
+        rays,
+    }
+}
+
+pub enum Answers {
+    Hits(Vec<FlatHit>),
+    Blocked(Vec<bool>),
+}
+
+impl Answers {
+    fn new(set: &RaySet) -> Answers {
+        match set.any_hit {
+            false => Answers::Hits(vec![FlatHit::NONE; set.rays.len()]),
+            true => Answers::Blocked(vec![false; set.rays.len()]),
+        }
+    }
+
+    pub fn all(racer: &dyn Racer, set: &RaySet) -> Answers {
+        let mut answers = Answers::new(set);
+        answers.fill(racer, set, None);
+        answers
+    }
+
+    /// Answers of the rays from the first on, until `end` if there is one; says how many.
+    fn fill(&mut self, racer: &dyn Racer, set: &RaySet, end: Option<Instant>) -> usize {
+        let mut done = 0;
+        let in_time = |_: &&[FlatRay]| end.is_none_or(|end| Instant::now() < end);
+        let chunks = set.rays.chunks(CHUNK).take_while(in_time);
+        match self {
+            Answers::Hits(hits) => {
+                for (rays, hits) in chunks.zip(hits.chunks_mut(CHUNK)) {
+                    racer.closest(rays, set.coherent, hits);
+                    done += rays.len();
+                }
+            }
+            Answers::Blocked(blocked) => {
+                for (rays, blocked) in chunks.zip(blocked.chunks_mut(CHUNK)) {
+                    racer.occluded(rays, set.coherent, blocked);
+                    done += rays.len();
+                }
+            }
+        }
+        done
+    }
+}
