@@ -189,13 +189,7 @@ impl Resolver<'_> {
             "part.reflectance",
             "a number from 0 to 1",
         )?;
-        let rotation = file.part.rotation_deg;
-        self.check(
-            rotation.iter().all(|r| r.abs() <= 360.0),
-            "part.rotation_deg",
-            "angles from -360 to 360",
-        )?;
-        let position = self.lengths(file.part.position_mm, "part.position_mm")?;
+        let part_at_rest = self.part_at_rest(&file.part)?;
         let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
@@ -230,10 +224,7 @@ impl Resolver<'_> {
             mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
             copies,
             surface: Lambert { reflectance },
-            part_at_rest: Rigid::from_euler_xyz(
-                DVec3::from(rotation).map(f64::to_radians),
-                position.into(),
-            ),
+            part_at_rest,
             laser,
             head_from_laser,
             camera,
@@ -246,6 +237,18 @@ impl Resolver<'_> {
             scan,
             calibration,
         })
+    }
+
+    fn part_at_rest(&self, part: &PartTable) -> Result<Rigid> {
+        let rotation = part.rotation_deg;
+        self.check(
+            rotation.iter().all(|r| r.abs() <= 360.0),
+            "part.rotation_deg",
+            "angles from -360 to 360",
+        )?;
+        let position = self.lengths(part.position_mm, "part.position_mm")?;
+        let rotation = DVec3::from(rotation).map(f64::to_radians);
+        Ok(Rigid::from_euler_xyz(rotation, position.into()))
     }
 
     /// The calibration that the scene names, and the bytes that stand for it in the
