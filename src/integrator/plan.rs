@@ -369,9 +369,8 @@ impl LineImage {
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
-            if let Some(pixel) = seen(p) {
-                image.grain = image.grain.with(grains(pixel));
-            }
+            let pixel = seen(p).unwrap_or(resolution / 2.0);
+            image.grain = image.grain.with(grains(pixel));
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
             }
@@ -389,9 +388,6 @@ impl LineImage {
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
             image.px_per_mm = 1.0;
-        }
-        if image.grain == GrainExtent::NONE {
-            image.grain = image.grain.with(grains(resolution / 2.0));
         }
         image
     }
