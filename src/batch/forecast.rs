@@ -27,7 +27,7 @@ const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
 /// Bytes of a frame in the report, whatever was measured in it.
 const POSE: u64 = size_of::<HeadPose>() as u64;
 /// Bytes of a point on disk: in `cloud.ply`, and at most in the journal.
-const POINT_ON_DISK: u64 = 50 + 80;
+const POINT_ON_DISK: u64 = 67 + 92;
 /// Bytes of a frame in the journal beside its points.
 const RECORD: u64 = 36 + 80;
 /// Report, pictures and summary on disk, about, and in memory while they are made.

@@ -278,6 +278,7 @@ mod tests {
             frame,
             column: 9,
             flags: crate::profile::Flags::EDGE,
+            normal: glam::Vec3::Z,
         };
         FrameRecord {
             frame,

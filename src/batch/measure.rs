@@ -105,8 +105,8 @@ impl Simulation<'_> {
         let points = measured.filter_map(|(peak, error)| {
             let (in_head, covariance) = self.point(peak, error.sigma)?;
             let position = part_from_head.point(in_head);
-            let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut close);
-            let normal = part_from_head.inverse().vector(normal);
+            let (deviation, seen) = signed_distance(&self.accel, position, eye, &mut close);
+            let normal = part_from_head.inverse().vector(seen);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
             let mut covariance = covariance;
             let wall = across(&covariance) < WALL * trace(&covariance).max(0.0).sqrt();
@@ -129,6 +129,7 @@ impl Simulation<'_> {
                 frame,
                 column: peak.column,
                 flags: peak.flags,
+                normal: seen.as_vec3(),
             })
         });
         points.collect()
@@ -207,9 +208,11 @@ impl Simulation<'_> {
         let part_from_head = self.scene.part_from_head(point.frame);
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let position = motion.point(point.position);
+        let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut None);
         CloudPoint {
             position,
-            deviation: signed_distance(&self.accel, position, eye, &mut None).0,
+            deviation,
+            normal: normal.as_vec3(),
             ..*point
         }
     }

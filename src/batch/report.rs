@@ -8,7 +8,7 @@ use super::{Control, Simulation};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::inspect::chart::{color_bar, short};
-use crate::inspect::cloud::CloudPoint;
+use crate::inspect::cloud::{CloudPoint, color_limit_um};
 use crate::inspect::color::{Rgb, diverging, of_fate, sequential};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
@@ -353,8 +353,7 @@ fn camera(camera: &Camera) -> String {
     )
 }
 
-/// Where the colours end: 98 of 100 sound points lie within; a nanometre where
-/// all is exact.
+/// Where the colours end ([`color_limit_um`]).
 struct Limits {
     deviation_um: f64,
     sigma_um: f64,
@@ -362,16 +361,9 @@ struct Limits {
 
 impl Limits {
     fn of(points: &[CloudPoint]) -> Limits {
-        let most = |value: &dyn Fn(&CloudPoint) -> f64| {
-            let sound = points.iter().filter(|p| p.is_sound());
-            let mut values: Vec<f64> = sound.map(|p| value(p).abs() * 1e3).collect();
-            values.sort_by(f64::total_cmp);
-            let at = values.get(values.len() * 98 / 100);
-            at.map_or(1.0, |&d| d.max(1e-3))
-        };
         Limits {
-            deviation_um: most(&|p| p.deviation),
-            sigma_um: most(&|p| p.deviation_sigma),
+            deviation_um: color_limit_um(points, |p| p.deviation),
+            sigma_um: color_limit_um(points, |p| p.deviation_sigma),
         }
     }
 }

@@ -201,6 +201,7 @@ mod tests {
                 frame: i / 20,
                 column: i % 20,
                 flags: Flags::EDGE,
+                normal: glam::Vec3::Z,
             })
             .collect()
     }
