@@ -166,11 +166,11 @@ fn whole_lines_carry_no_flag_and_cut_ones_do() {
     }
 }
 
-/// Balls at any place, whose first and last frames graze the horizon. A point off by more than six
-/// standard uncertainties is, by a Gaussian, one in 5·10⁸: of these some 60 000 none is to be without
-/// a flag, but for one run in 8000. 95 % intervals hold what errors 5 % larger or smaller than stated
-/// make of them, 93.8 and 96.1 %, and three standard errors of 0.3 %, as grains make some 5000 of a
-/// scene's points independent.
+/// Balls at any place, whose first and last frames graze the horizon; none of the rules was made
+/// by them. A point off by more than six standard uncertainties is, by a Gaussian, one in 5·10⁸: of
+/// some 48 000 none is to be without a flag, but for one run in 10 000. 95 % intervals hold what
+/// errors 5 % larger or smaller than stated make of them, 93.8 and 96.1 %, and three standard errors
+/// of 0.3 %, as grains make some 5000 of a scene's points independent.
 #[test]
 fn no_point_is_far_off_without_a_flag_where_the_sheet_grazes_a_ball() {
     for seed in [102, 105, 108, 111] {
