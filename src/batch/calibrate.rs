@@ -235,7 +235,7 @@ fn line(scene: &Scene, target: &Rigid) -> Result<Vec<LinePoint>> {
     let plan = &simulation.plan;
     // Grains are independent from the first zero of their correlation on, 1.22 h,
     // and a pixel further as pixels have a width.
-    let apart = 1 + (1.22 * plan.speckle_size_px).ceil() as u32;
+    let apart = 1 + (1.22 * plan.grain.speckle_extent_px[0]).ceil() as u32;
     // A line that the border cuts has its peak elsewhere.
     let border = 4.0 * plan.line_half_width_px + 1.0;
     let inside = |row: f64| row > border && row < resolution.y as f64 - border;

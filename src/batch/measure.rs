@@ -130,7 +130,7 @@ impl Simulation<'_> {
 
     /// A peak's point and its covariance, head's frame, mm and mm².
     fn point(&self, peak: &Peak, row_sigma: f64) -> Option<(DVec3, DMat3)> {
-        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let pixel = peak.place();
         let jacobian = self.calibration.point_jacobian(pixel)?;
         let row = jacobian.by_pixel[1] * row_sigma;
         let from_row = outer(row);
@@ -153,7 +153,7 @@ impl Simulation<'_> {
         let normal = scene.head_from_laser.rotation.y_axis;
         let ray = in_head - self.calibration.head_from_camera.translation;
         let off_sheet = ray * (half / ray.dot(normal));
-        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let pixel = peak.place();
         let by_column = self
             .calibration
             .point_jacobian(pixel)
@@ -187,9 +187,10 @@ fn trace(m: &DMat3) -> f64 {
 pub(super) fn error_model(scene: &Scene) -> ErrorModel {
     let Camera { sensor, .. } = &scene.camera;
     let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-    let size = scene.camera.speckle_size(scene.laser.beam.wavelength);
     let grain = scene.speckle.map(|model| SpeckleGrain {
-        size_px: size / sensor.pixel_pitch,
+        rays: scene.camera.model().chief_rays(),
+        resolution: sensor.resolution,
+        size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
         contrast: model.coherence.contrast(),
         aperture: model.aperture,
     });

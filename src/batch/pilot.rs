@@ -117,7 +117,7 @@ pub(super) fn pilot<'s>(
     let found: Vec<Vec<PilotPoint>> = frames.par_iter().map(|&f| compared.frame(f)).collect();
     let lines = found.iter().map(Vec::len).sum::<usize>();
     let sensor = &scene.camera.sensor;
-    let grains = 1.0 / base.speckle_size_px;
+    let grains = 1.0 / base.grain.speckle_size_px;
     let each = lines.div_ceil(POINTS).max(1);
     Ok(Pilot {
         points: found.into_iter().flatten().step_by(each).collect(),

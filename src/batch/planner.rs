@@ -199,7 +199,7 @@ fn effects(scene: &Scene, pilot: &Pilot, base: &Plan, plan: &Plan) -> Vec<Effect
         // pattern is about a Gaussian of 0.42 h.
         let blur = match effect.effect {
             "defocus" => plan.defocus_blur_px / 4.0,
-            "diffraction of the lens" => 0.42 * plan.speckle_size_px,
+            "diffraction of the lens" => 0.42 * plan.grain.speckle_extent_px[1],
             SLIP => return slip_named(methods).unwrap_or(effect),
             _ => return effect,
         };
@@ -242,7 +242,7 @@ impl List {
             let method = speckle_method(plan);
             let modelled = plan.speckle.is_some();
             let speckle = self.add("speckle", modelled, method, pilot.speckle());
-            let why = format!("grain {:.2} px", plan.speckle_size_px);
+            let why = format!("grain {}", plan.grain);
             speckle.why = because(methods.speckle.is_some(), &why);
             speckle.cost_ms = Some(speckle_ms);
         }

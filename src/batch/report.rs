@@ -108,10 +108,7 @@ impl Shown<'_> {
                 "1 px along the beam",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
-            (
-                "speckle size",
-                format!("{} px", short(plan.speckle_size_px)),
-            ),
+            ("speckle size", plan.grain.to_string()),
         ]
     }
 

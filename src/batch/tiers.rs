@@ -194,7 +194,10 @@ impl<'s> Tiers<'s> {
         };
         if base.speckle.is_some() {
             plans.push(with(None, base.noise));
-            let q = 1.0 / base.speckle_size_px;
+            let q = self
+                .scene
+                .camera
+                .pixel_in_grains(self.scene.laser.beam.wavelength);
             let fits = (0.5..=32.0).contains(&q);
             let prefiltered = fits.then_some(Method::Prefiltered { q });
             let others = [Some(Method::Trilinear), prefiltered];

@@ -18,6 +18,7 @@ use crate::speckle::pattern::Aperture;
 use crate::speckle::wave::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field};
 use crate::speckle::wave_cases::{REFERENCE_WAVELENGTH_MM, reference_cases};
 use crate::speckle::wave_centroid::{CentroidRow, LineSetup, line_centroid_noise};
+use crate::speckle::wave_grain::{GrainCase, GrainRow, grain_lengths, reference_grains};
 use crate::speckle::wave_motion::{MotionCase, MotionRow, WaveSampling, measure_motions};
 use crate::speckle::wave_patch::{lit, patch_filling_view};
 use crate::speckle::wave_plot::{centroid_plot, motion_plot};
@@ -47,6 +48,8 @@ pub struct ComparedMotion {
 #[derive(Debug, Serialize)]
 pub struct WaveSummary {
     pub motions: Vec<ComparedMotion>,
+    /// Grains on the sensor; of a scene where it sees the patch.
+    pub grains: Vec<GrainRow>,
     /// Empty for a scene's patch.
     pub centroids: Vec<CentroidRow>,
     /// Empty for a scene's patch.
@@ -57,6 +60,9 @@ pub struct WaveSummary {
 /// Surfaces of a spot for each of a row of motions: a spot has one centroid, a line
 /// one in each row.
 const SPOTS_A_ROW: u64 = 4;
+
+/// Diameter of the pupil of [`reference_grains`], mm: 50 mm at f/11.
+const REFERENCE_PUPIL_MM: f64 = 50.0 / 11.0;
 
 /// Width of the compared region of an image, grains.
 const REGION_GRAINS: f64 = 24.0;
@@ -85,11 +91,18 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
         control.check()?;
         spots.push(spot_height_noise(&setup)?);
     }
+    let grains = grain_lengths(
+        &reference_grains(),
+        REFERENCE_PUPIL_MM,
+        REFERENCE_WAVELENGTH_MM,
+        effort.seed,
+    )?;
     let pictures = vec![out.join("motion.svg"), out.join("centroid.svg")];
     let textures = textures(&motions, effort.seed)?;
     files::write_bytes(&pictures[0], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
+        grains,
         centroids,
         spots,
         pictures,
@@ -127,12 +140,19 @@ pub fn wave_patch(
         seed: effort.seed,
     };
     let motions = measured(&cases, &sampling, control)?;
+    let grains = grain_lengths(
+        &grains_at(scene, &view),
+        scene.camera.lens.pupil_diameter(),
+        scene.laser.beam.wavelength,
+        effort.seed,
+    )?;
     let image = line_image(scene, &view, effort.seed)?;
     let pictures = vec![out.join("patch.png"), out.join("motion.svg")];
     let textures = textures(&motions, effort.seed)?;
     files::write_bytes(&pictures[1], motion_plot(&motions, &textures).as_bytes())?;
     let summary = WaveSummary {
         motions: compared(motions, &textures),
+        grains,
         centroids: Vec::new(),
         spots: Vec::new(),
         pictures,
@@ -152,6 +172,23 @@ pub fn wave_patch(
     files::write_bytes(&summary.pictures[0], &png)?;
     files::write_json(&out.join("wave.json"), &summary)?;
     Ok(summary)
+}
+
+/// Along columns and rows of the sensor where it sees the patch; nothing if it does not.
+fn grains_at(scene: &Scene, view: &SurfaceView) -> Vec<GrainCase> {
+    let camera = &scene.camera;
+    let Some(pixel) = camera.project(scene.head_from_camera.inverse().point(view.point)) else {
+        return Vec::new();
+    };
+    let place = camera.sensor_point(pixel);
+    let step = |to: DVec2| (camera.sensor_point(pixel + to) - place).normalize();
+    let along = [("along a row", DVec2::X), ("along a column", DVec2::Y)];
+    let case = |(name, to): (&str, DVec2)| GrainCase {
+        name: name.into(),
+        place,
+        along: step(to),
+    };
+    along.map(case).into()
 }
 
 /// The part's motion in the head's frame over some steps of the scan.

@@ -40,21 +40,22 @@ impl CameraModel {
 }
 
 impl ChiefRays {
-    fn to_sensor(&self, pixel: DVec2) -> DVec3 {
+    /// From the pupil's centre, mm.
+    fn place(&self, pixel: DVec2) -> DVec3 {
         self.corner + self.by_pixel[0] * pixel.x + self.by_pixel[1] * pixel.y
     }
 
     /// Direction cosines of a place (column, row) on the sensor.
     #[inline(always)]
     pub fn cosines(&self, pixel: DVec2) -> DVec2 {
-        let p = self.to_sensor(pixel);
+        let p = self.place(pixel);
         p.truncate() * (1.0 / p.length())
     }
 
     /// The same, and their derivatives by column and by row.
     #[inline(always)]
     pub fn around(&self, pixel: DVec2) -> (DVec2, DMat2) {
-        let p = self.to_sensor(pixel);
+        let p = self.place(pixel);
         let per_mm = 1.0 / p.length();
         let n = p * per_mm;
         let [column, row] = self

@@ -3,6 +3,7 @@ use crate::batch::{self, ComparedMotion, Control, WaveEffort, WaveSummary};
 use crate::error::Result;
 use crate::scene::Scene;
 use crate::speckle::wave_correlation::Estimate;
+use crate::speckle::wave_grain::GrainRow;
 use crate::speckle::wave_spot::SpotRow;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -92,6 +93,7 @@ fn text(summary: &WaveSummary) -> String {
             row.displacement_um[1],
         );
     }
+    text += &grains(&summary.grains);
     if !summary.centroids.is_empty() {
         let _ = writeln!(
             text,
@@ -110,6 +112,27 @@ fn text(summary: &WaveSummary) -> String {
     text += &spots(&summary.spots);
     for picture in &summary.pictures {
         let _ = writeln!(text, "{}", picture.display());
+    }
+    text
+}
+
+/// Lengths of grains on the sensor.
+fn grains(rows: &[GrainRow]) -> String {
+    let mut text = String::new();
+    if !rows.is_empty() {
+        let _ = writeln!(
+            text,
+            "\n{:<46} {:>8} {:>8} {:>24}   width of grains at half height, µm",
+            "grains", "law", "waves", "patterns (95 %)"
+        );
+    }
+    for row in rows {
+        let e = row.texture_um;
+        let _ = writeln!(
+            text,
+            "{:<46} {:>8.3} {:>8.3} {:>9.3} ({:.3}–{:.3})",
+            row.name, row.law_um, row.waves_um, e.value, e.low, e.high
+        );
     }
     text
 }

@@ -7,6 +7,7 @@ mod cutoff;
 mod direct;
 mod footprint;
 mod geometric;
+mod grain_extent;
 pub mod height_error;
 mod irradiance;
 mod lit;

@@ -4,6 +4,7 @@
 use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
+use super::grain_extent::GrainExtent;
 use super::samples::sampling_error;
 use crate::camera::Camera;
 use crate::laser::Laser;
@@ -30,8 +31,9 @@ pub struct Plan {
     /// 1/e² half width of the line's image where it is narrowest on the part, for
     /// a surface across the beam, pixels.
     pub line_half_width_px: f64,
-    /// Minimal speckle size h on the sensor, pixels.
-    pub speckle_size_px: f64,
+    /// Speckle on the sensor where it may see the line.
+    #[serde(flatten)]
+    pub grain: GrainExtent,
     /// Blur of the lens where the laser plane crosses the part, at its largest,
     /// pixels; not modelled.
     pub defocus_blur_px: f64,
@@ -158,10 +160,9 @@ impl Plan {
     ) -> Plan {
         let line = LineImage::over(laser, camera, camera_from_laser, part_in_laser);
         let pitch = camera.sensor.pixel_pitch;
-        let speckle_size_px = camera.speckle_size(laser.beam.wavelength) / pitch;
-        let airy_radius_px = 1.22 * speckle_size_px;
+        let airy_radius_px = 1.22 * camera.speckle_size(laser.beam.wavelength) / pitch;
         let sigma = line.half_width_px / 2.0;
-        let samples = samples_per_side(sigma, speckle_size_px, speckle.as_ref());
+        let samples = samples_per_side(sigma, line.grain.speckle_size_px, speckle.as_ref());
         let plane_point = camera_from_laser.translation;
         let plane_normal = camera_from_laser.rotation.y_axis;
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
@@ -173,7 +174,7 @@ impl Plan {
             sampling: Sampling::Planes,
             cutoff_radii: cutoff_radii(laser, camera, part_in_laser),
             line_half_width_px: line.half_width_px,
-            speckle_size_px,
+            grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
             airy_radius_px,
             px_per_mm: line.px_per_mm,
@@ -211,10 +212,10 @@ impl Plan {
                 }
                 .into(),
                 format!(
-                    "grain {:.2} px; it moves each centroid by about {:.2} px (1σ)",
-                    self.speckle_size_px,
+                    "grain {}; it moves each centroid by about {:.2} px (1σ)",
+                    self.grain,
                     centroid_noise(
-                        self.speckle_size_px,
+                        self.grain.speckle_extent_px[1],
                         sigma,
                         speckle.map_or(1.0, |s| s.contrast)
                     )
@@ -295,6 +296,7 @@ struct LineImage {
     widest: f64,
     /// Largest |1 − L_f/L_o|.
     defocus: f64,
+    grain: GrainExtent,
 }
 
 impl LineImage {
@@ -349,7 +351,9 @@ impl LineImage {
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
+            grain: GrainExtent::NONE,
         };
+        let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
         let middle = parts[0]
             .center()
             .with_y(0.0)
@@ -370,6 +374,8 @@ impl LineImage {
                 Some((camera.project(camera_from_laser.point(p + by))? - from).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
+            let pixel = seen(p).unwrap_or(resolution / 2.0);
+            image.grain = image.grain.with(grains(pixel));
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
             }

@@ -81,7 +81,7 @@ impl Calibration {
     /// The point of the laser plane that `peak`'s pixel sees, camera frame, mm.
     /// `None` if its ray does not meet the plane in front of the camera.
     pub fn point(&self, peak: &Peak) -> Option<DVec3> {
-        self.point_at(DVec2::new(peak.column as f64 + 0.5, peak.row))
+        self.point_at(peak.place())
     }
 
     /// [`Self::point`] of a place (column, row) on the sensor.

@@ -3,7 +3,7 @@
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
-//! `uncertainty` how surely; `cut` which of them edges along them cut, `clipping` what
+//! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor; `cut` which of them edges along them cut, `clipping` what
 //! saturation leaves of them.
 
 mod adjust;
@@ -22,6 +22,7 @@ mod peak;
 mod residual_picture;
 mod slope;
 mod uncertainty;
+mod variances;
 mod widths;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
@@ -34,5 +35,6 @@ pub use find::{
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use residual_picture::residual_picture;
 pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX, SpeckleGrain,
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,
 };
+pub use variances::SpeckleGrain;

@@ -1,6 +1,7 @@
 //! What is found of the laser line in a sensor column, and what may be asked of
 //! the search.
 
+use crate::math::DVec2;
 use bitflags::bitflags;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,13 @@ pub struct Peak {
     /// rounding, 1/√12.
     pub noise: f64,
     pub flags: Flags,
+}
+
+impl Peak {
+    /// (column, row), in the middle of its column.
+    pub fn place(&self) -> DVec2 {
+        DVec2::new(self.column as f64 + 0.5, self.row)
+    }
 }
 
 bitflags! {

@@ -3,25 +3,14 @@
 
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
-use super::influence::{bias, influence};
+use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
+use super::variances::{Places, SpeckleGrain, Variances, covariances};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder, WEAK_SNR};
-use crate::speckle::pattern::Aperture;
-use crate::speckle::theory::pixel_covariance;
-
-/// Speckle of the light on the sensor.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpeckleGrain {
-    /// Minimal speckle size h = λ·d_PI/D, px.
-    pub size_px: f64,
-    /// Contrast of the light before pixels integrate it; below 1 if it is
-    /// depolarised or of several wavelengths.
-    pub contrast: f64,
-    pub aperture: Aperture,
-}
+use crate::math::DVec2;
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -45,8 +34,6 @@ const FINE_GRAIN_VARIANCE: f64 = 0.15;
 /// same width: ∫E²x²/(∫E)² is σ/√12 for the one and σ/(4√π) for the other.
 const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 
-const NODES: usize = 96;
-
 /// How far a peak's row may be off.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RowError {
@@ -68,8 +55,8 @@ pub struct RowError {
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with ρ the covariance of the light of two square pixels
-/// ([`pixel_covariance`]) and b the greatest bias of the finder (GUM 4.3.7). For
+/// with ρ the covariance of the light of two pixels of the column, under grains as long and wide
+/// as they are there ([`pixel_covariance`](crate::speckle::theory::pixel_covariance)), and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
 /// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
@@ -80,49 +67,32 @@ pub struct RowError {
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
 /// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
-/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). h is that at the sensor's centre.
+/// centroid if speckle is all but averaged out ([`LARGEST_SHAPE_VARIANCE`]). What edges and clipping
+/// do is that of grains in the sensor's middle.
 #[derive(Debug, Clone)]
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
-    /// Whether grains are fine beside a pixel.
-    fine: bool,
-    /// Relative variance of the light of a pixel.
-    pixel_variance: f64,
+    grain: Option<SpeckleGrain>,
     cuts: Cuts,
     clipping: Clipping,
-    /// At widths evenly spaced in their logarithm, over [`SIGMAS_PX`].
-    nodes: Vec<Variances>,
-}
-
-/// Variances of the row of a line of one width, px².
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Variances {
-    speckle: f64,
-    /// Over K/N.
-    shot: f64,
-    /// Over (s/N)².
-    white: f64,
-    /// Relative, of the line's light, from speckle.
-    light: f64,
+    places: Places,
 }
 
 impl ErrorModel {
     /// `gain_dn_per_e`: counts per electron, 0 for light without shot noise.
     pub fn new(finder: PeakFinder, gain_dn_per_e: f64, grain: Option<SpeckleGrain>) -> ErrorModel {
-        let covariance = grain.map_or(vec![0.0], |grain| covariances(&grain));
-        let (least, most) = SIGMAS_PX;
-        let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+        let columns = grain.map_or(vec![0.0], |grain| {
+            let middle = grain.resolution.as_dvec2() / 2.0;
+            covariances(&grain, middle, DVec2::X, 2 * BESIDE + 1)
+        });
         ErrorModel {
             finder,
             gain_dn_per_e,
-            fine: grain.is_some_and(|grain| grain.size_px < FINE_GRAIN_PX.0),
-            pixel_variance: covariance[0],
-            cuts: Cuts::new(variance_of_mean(&covariance)),
-            clipping: Clipping::new(covariance[0]),
-            nodes: (0..NODES)
-                .map(|i| Variances::of(finder, sigma(i), &covariance))
-                .collect(),
+            grain,
+            cuts: Cuts::new(variance_of_mean(&columns)),
+            clipping: Clipping::new(columns[0]),
+            places: Places::new(finder, grain.as_ref()),
         }
     }
 
@@ -147,7 +117,10 @@ impl ErrorModel {
         let clipped = self.clipped(peaks, &expected);
         let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
-        let lights: Vec<f64> = sigmas.iter().map(|&sigma| self.at(sigma).light).collect();
+        let lined = peaks.iter().zip(&sigmas);
+        let lined = lined.map(|(peak, &sigma)| self.places.at(peak.place(), sigma));
+        let variances: Vec<Variances> = lined.collect();
+        let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
         let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
@@ -161,10 +134,10 @@ impl ErrorModel {
             }
             let inside = peak.flags.difference(Flags::OUTSIDE).is_empty()
                 && expected.is_some()
-                && self.is_valid(sigma, lights[i]);
+                && self.is_valid(sigma, &variances[i]);
             peak.flags.set(Flags::OUTSIDE, !inside);
             let climb = expected.map_or(0.0, |e| e.climb);
-            let variance = self.variance(peak, sigma, climb, &clipped[i]);
+            let variance = self.variance(peak, sigma, climb, &variances[i], &clipped[i]);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
             RowError {
@@ -198,7 +171,7 @@ impl ErrorModel {
         peaks.iter_mut().zip(expected).map(of).collect()
     }
 
-    fn is_valid(&self, sigma: f64, light: f64) -> bool {
+    fn is_valid(&self, sigma: f64, at: &Variances) -> bool {
         let centroid = self.finder == PeakFinder::Centroid;
         let least = if centroid {
             SIGMAS_PX.0
@@ -206,15 +179,22 @@ impl ErrorModel {
             LEAST_SHAPE_SIGMA_PX
         };
         (least..=SIGMAS_PX.1).contains(&sigma)
-            && light <= LARGEST_LIGHT_VARIANCE
-            && (centroid || self.pixel_variance <= LARGEST_SHAPE_VARIANCE)
+            && at.light <= LARGEST_LIGHT_VARIANCE
+            && (centroid || at.pixel <= LARGEST_SHAPE_VARIANCE)
     }
 
     /// Variance of the row of an unbroken line of width `sigma`, px².
-    fn variance(&self, peak: &Peak, sigma: f64, climb: f64, clipped: &Clipped) -> f64 {
-        let at = self.at(sigma);
+    fn variance(
+        &self,
+        peak: &Peak,
+        sigma: f64,
+        climb: f64,
+        at: &Variances,
+        clipped: &Clipped,
+    ) -> f64 {
         let n = peak.intensity;
-        let uneven = match self.fine && sigma < FINE_GRAIN_PX.1 {
+        let is_fine = |grain: SpeckleGrain| grain.along_column_px(peak.place()) < FINE_GRAIN_PX.0;
+        let uneven = match sigma < FINE_GRAIN_PX.1 && self.grain.is_some_and(is_fine) {
             true => FINE_GRAIN_VARIANCE,
             false => 0.0,
         };
@@ -223,21 +203,6 @@ impl ErrorModel {
             + at.shot * self.gain_dn_per_e / n
             + at.white * (peak.noise / n).powi(2)
             + bias(self.finder, sigma).powi(2) / 3.0
-    }
-
-    fn at(&self, sigma: f64) -> Variances {
-        let (least, most) = SIGMAS_PX;
-        let place = (sigma / least).max(1.0).ln() / (most / least).ln() * (NODES - 1) as f64;
-        let i = (place as usize).min(NODES - 2);
-        let share = (place - i as f64).min(1.0);
-        let (a, b) = (self.nodes[i], self.nodes[i + 1]);
-        let between = |of: fn(&Variances) -> f64| of(&a) + share * (of(&b) - of(&a));
-        Variances {
-            speckle: between(|v| v.speckle),
-            shot: between(|v| v.shot),
-            white: between(|v| v.white),
-            light: between(|v| v.light),
-        }
     }
 }
 
@@ -265,16 +230,6 @@ fn bend_variance(run: &Run, variance: f64) -> f64 {
     (run.bend.powi(2) - 6.0 * variance).max(0.0) / 320.0
 }
 
-/// Covariance of the light of pixels 0, 1, … rows apart, until what is left is below
-/// a thousandth of it all: ∫μ² beyond r falls as (h/r)²/60.
-fn covariances(grain: &SpeckleGrain) -> Vec<f64> {
-    let lags = (8.0 * grain.size_px).ceil().min(512.0) as usize + 1;
-    let covariance = |lag| {
-        grain.contrast.powi(2) * pixel_covariance(grain.aperture, 1.0 / grain.size_px, lag as f64)
-    };
-    (0..=lags).map(covariance).collect()
-}
-
 /// Variance of the mean of as many neighbours as [`BESIDE`] says over that of one; without
 /// speckle as if each varied by itself.
 fn variance_of_mean(covariance: &[f64]) -> f64 {
@@ -287,65 +242,10 @@ fn variance_of_mean(covariance: &[f64]) -> f64 {
     (n as f64 + pairs / at(0)) / (n * n) as f64
 }
 
-impl Variances {
-    /// Mean over a line at a pixel's middle and one at its edge.
-    fn of(finder: PeakFinder, sigma: f64, covariance: &[f64]) -> Variances {
-        let mut sum = Variances::default();
-        for row in [0.0, 0.5] {
-            let pixels = influence(finder, sigma, row);
-            for &(light, weight) in &pixels {
-                sum.shot += weight * weight * light / 2.0;
-                sum.white += weight * weight / 2.0;
-            }
-            for (lag, c) in covariance.iter().enumerate().take(pixels.len()) {
-                // Both signs of a lag.
-                let c = if lag == 0 { c / 2.0 } else { *c };
-                for (a, b) in pixels.iter().zip(&pixels[lag..]) {
-                    sum.speckle += c * a.0 * a.1 * b.0 * b.1;
-                    sum.light += c * a.0 * b.0;
-                }
-            }
-        }
-        sum
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::speckle::theory::centroid_noise;
     use std::f64::consts::PI;
-
-    fn model(finder: PeakFinder, size_px: f64) -> ErrorModel {
-        let grain = SpeckleGrain {
-            size_px,
-            contrast: 0.5,
-            aperture: Aperture::Circle,
-        };
-        ErrorModel::new(finder, 0.0, Some(grain))
-    }
-
-    /// Pixels ≪ h ≪ σ: integration over a pixel of h/4 takes 5 % off the variance
-    /// (C = 0.975), the finite h/σ = 1/12 2 % (4 % at 1/2 by the closed form's own
-    /// check, falling with h/σ), the interpolation 0.4 %.
-    #[test]
-    fn the_law_of_centroid_noise_is_a_limit() {
-        let found = model(PeakFinder::Centroid, 4.0).at(48.0).speckle.sqrt();
-        let law = centroid_noise(4.0, 48.0, 0.5);
-        assert!((0.95..1.0).contains(&(found / law)), "{found} {law}");
-    }
-
-    /// In white noise the weights of the fit give the Cramér–Rao bound of a line of unit
-    /// light: Σw² = 4√π·σ³ for pixels ≪ σ, and the centroid's (2/3)·(4σ)³.
-    #[test]
-    fn white_noise_is_weighted_as_each_finder_does() {
-        let white = |finder| model(finder, 1.0).at(20.0).white;
-        let fit = 4.0 * PI.sqrt() * 8000.0;
-        assert!((white(PeakFinder::GaussianFit) / fit - 1.0).abs() < 0.01);
-        let centroid = 2.0 / 3.0 * 80f64.powi(3);
-        assert!((white(PeakFinder::Centroid) / centroid - 1.0).abs() < 0.01);
-        assert!(white(PeakFinder::LogParabola) > fit && white(PeakFinder::DerivativeZero) > fit);
-    }
 
     /// An even stretch of σ = W/√12 has ∫E²x²/(∫E)² = W/12, a Gaussian σ/(4√π); and the
     /// bias of a bend is the mean row less that in the middle, here summed.

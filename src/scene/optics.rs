@@ -103,7 +103,7 @@ impl Resolver<'_> {
             "laser.independent_patterns",
             "from 1 to 64",
         )?;
-        let q = camera.sensor.pixel_pitch / camera.speckle_size(laser.beam.wavelength);
+        let q = camera.pixel_in_grains(laser.beam.wavelength);
         let method = match file.speckle_method {
             SpeckleMethod::Field => Method::Field,
             SpeckleMethod::Trilinear => Method::Trilinear,

@@ -27,6 +27,7 @@ pub mod wave;
 pub mod wave_cases;
 pub mod wave_centroid;
 pub mod wave_correlation;
+pub mod wave_grain;
 pub mod wave_motion;
 pub mod wave_patch;
 pub mod wave_plot;

@@ -4,6 +4,7 @@
 use super::pattern::Aperture;
 use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
+use glam::DMat2;
 
 impl Aperture {
     /// Correlation μ of the speckle *fields* at two points of the sensor,
@@ -54,23 +55,31 @@ pub fn integrated_contrast(aperture: Aperture, q: f64) -> f64 {
     variance.sqrt()
 }
 
-/// Covariance of the light of two square pixels of pitch p = q·h that lie `lag`
-/// pixels apart along the pupil's height, for fully developed speckle of mean 1:
-/// ∬Λ(x)Λ(y − lag)·μ²(qx, qy) dx dy; at no lag the square of
-/// [`integrated_contrast`]. By the same quadrature; past 16 grains a pixel it is
-/// that of 16, falling as 1/q², which is 2 % of it off.
-pub fn pixel_covariance(aperture: Aperture, q: f64, lag: f64) -> f64 {
-    let fine = q.min(16.0);
-    let nodes = panels((2.0 * fine).ceil().max(2.0) as usize);
-    let along = nodes.iter().flat_map(|&(y, w)| [(y, w), (-y, w)]);
-    let covariance: f64 = along
-        .flat_map(|y| nodes.iter().map(move |&x| (x, y)))
-        .map(|((x, wx), (y, wy))| {
-            let mu = aperture.field_correlation(fine * DVec2::new(x, y + lag));
-            2.0 * wx * wy * (1.0 - x) * (1.0 - y.abs()) * mu * mu
-        })
-        .sum();
-    covariance * (fine / q).powi(2)
+/// Covariance of the light of two pixels that lie `lag` (columns, rows) apart, for fully
+/// developed speckle of mean 1: ∬Λ(x)Λ(y)·μ²(G·((x, y) + lag)) dx dy, G the grains by
+/// column and by row, in the pupil's axes
+/// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)); for G = q·1 and
+/// no lag the square of [`integrated_contrast`]. By Gauss–Legendre quadrature with panels of eight nodes
+/// for half a grain each; past 16 grains a pixel it is
+/// that of 16, falling with their number, which is 2 % of it off.
+pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
+    let across = [grains.x_axis, grains.y_axis].map(|axis| axis.length());
+    let share = (16.0 / across[0].max(across[1])).min(1.0);
+    let both_sides = |grains: f64| {
+        let nodes = panels((2.0 * share * grains).ceil().max(1.0) as usize);
+        let sides = nodes.into_iter().flat_map(|(x, w)| [(x, w), (-x, w)]);
+        let triangle = sides.map(|(x, w)| (x, w * (1.0 - x.abs())));
+        triangle.collect::<Vec<_>>()
+    };
+    let [columns, rows] = across.map(both_sides);
+    let of_row = |&(y, wy): &(f64, f64)| {
+        let row = columns.iter().map(|&(x, wx)| {
+            let mu = aperture.field_correlation(share * (grains * (DVec2::new(x, y) + lag)));
+            wx * mu * mu
+        });
+        wy * row.sum::<f64>()
+    };
+    rows.iter().map(of_row).sum::<f64>() * share * share
 }
 
 /// Contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre
@@ -194,13 +203,17 @@ mod tests {
         for aperture in [Aperture::Circle, Aperture::Square] {
             for q in [0.3, 1.0, 3.0] {
                 let contrast = integrated_contrast(aperture, q);
-                let none = pixel_covariance(aperture, q, 0.0);
+                let even = DMat2::from_diagonal(DVec2::splat(q));
+                let none = pixel_covariance(aperture, even, DVec2::ZERO);
                 assert!((none / contrast.powi(2) - 1.0).abs() < 1e-9, "{q}");
             }
         }
         for q in [0.5, 1.0] {
             let sum: f64 = (-200..=200)
-                .map(|lag| pixel_covariance(Aperture::Square, q, lag as f64))
+                .map(|lag| DVec2::new(0.0, lag as f64))
+                .map(|lag| {
+                    pixel_covariance(Aperture::Square, DMat2::from_diagonal(DVec2::splat(q)), lag)
+                })
                 .sum();
             let across: f64 = gauss_legendre(4)
                 .iter()
@@ -208,6 +221,26 @@ mod tests {
                 .sum();
             let beyond = 2.0 / (200.0 * (std::f64::consts::PI * q).powi(2));
             assert!((sum - across / q).abs() < beyond + 1e-6, "{q}: {sum}");
+        }
+    }
+
+    /// Grains stretched, turned and sheared: against the mean over pairs of 16 × 16 points of
+    /// both pixels, midpoints that are off by (|G|/16)²/24 times the curvature of μ²,
+    /// π²/2, twice.
+    #[test]
+    fn the_covariance_of_pixels_under_stretched_grains_is_that_of_pairs_of_points() {
+        let turn = DMat2::from_angle(0.7);
+        let grains = turn * DMat2::from_cols(DVec2::new(0.9, 0.2), DVec2::new(-0.1, 0.4));
+        let point = |i: usize| (i as f64 + 0.5) / 16.0;
+        let points = || (0..256).map(|i| DVec2::new(point(i % 16), point(i / 16)));
+        for aperture in [Aperture::Circle, Aperture::Ellipse { ratio: 0.6 }] {
+            for lag in [DVec2::ZERO, DVec2::new(0.0, 1.0), DVec2::new(2.0, -1.0)] {
+                let pairs = points().flat_map(|a| points().map(move |b| b - a));
+                let mu = pairs.map(|off| aperture.field_correlation(grains * (off + lag)));
+                let mean = mu.map(|mu| mu * mu).sum::<f64>() / 65536.0;
+                let found = pixel_covariance(aperture, grains, lag);
+                assert!((found - mean).abs() < 2e-3, "{lag}: {found} {mean}");
+            }
         }
     }
 
