@@ -145,7 +145,7 @@ impl ScanSpeckle {
                 match strips.then(references).flatten() {
                     Some(references) => Patterns::Strips {
                         fields,
-                        strips: self.strips(scene, &at, part_from_head, references),
+                        strips: Box::new(self.strips(scene, &at, part_from_head, references)),
                     },
                     None => Patterns::Frame {
                         fields,

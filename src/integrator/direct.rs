@@ -96,7 +96,8 @@ fn trace(view: &View, sight: &Sight, pixels: Pixels) -> Irradiance {
         grid: Grid::new(view.samples_per_side as usize),
         speckle: view
             .speckle
-            .map(|speckle| Reader::new(&speckle, view.camera, camera_from_laser)),
+            .as_ref()
+            .map(|speckle| Reader::new(speckle, view.camera, camera_from_laser)),
     };
     let tasks = (0..pixels.bands()).into_par_iter().step_by(BANDS_PER_TASK);
     let values: Vec<Vec<f32>> = tasks

@@ -11,7 +11,7 @@ use glam::Vec2;
 use wide::f32x4;
 
 /// Speckle patterns, and how they lie over the sensor in one frame.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Speckle<'a> {
     pub patterns: Patterns<'a>,
     pub map: GrainMap,
@@ -21,7 +21,7 @@ pub struct Speckle<'a> {
 }
 
 /// Where the intensities come from.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub enum Patterns<'a> {
     /// The field made for the frame's own place of the pupil.
     Frame {
@@ -31,7 +31,7 @@ pub enum Patterns<'a> {
     /// The same in strips, each read where the surface was seen in a pose of its own.
     Strips {
         fields: &'a FrameFields,
-        strips: Strips,
+        strips: Box<Strips>,
     },
     /// A ring of slices made beforehand.
     Ring {
@@ -67,13 +67,9 @@ enum Source<'a> {
 
 impl<'a> Reader<'a> {
     pub fn new(speckle: &Speckle<'a>, camera: &Camera, camera_from_laser: Rigid) -> Reader<'a> {
-        let Speckle {
-            patterns,
-            map,
-            displacement,
-        } = *speckle;
-        let source = match patterns {
-            Patterns::Ring {
+        let map = speckle.map;
+        let source = match &speckle.patterns {
+            &Patterns::Ring {
                 lookup,
                 slice,
                 per_pixel,
@@ -82,19 +78,19 @@ impl<'a> Reader<'a> {
                 slice,
                 per_pixel,
             },
-            Patterns::Frame { fields, place } => Source::Frame(fields.field(&place)),
+            Patterns::Frame { fields, place } => Source::Frame(fields.field(place)),
             Patterns::Strips { fields, strips } => {
                 let both = strips.strips.map(|reference| reference.strip);
                 Source::Strips {
                     field: Box::new(fields.strips(strips.pupil, strips.along, &both)),
-                    references: Box::new(References::new(&strips, map, camera, camera_from_laser)),
+                    references: Box::new(References::new(strips, map, camera, camera_from_laser)),
                 }
             }
         };
         Reader {
             rays: camera.model().chief_rays(),
             map,
-            displacement: map.displacement(displacement),
+            displacement: map.displacement(speckle.displacement),
             source,
         }
     }

@@ -129,13 +129,12 @@ impl PathAnchor {
             let step = off(next) - off(node);
             (step != 0.0).then(|| node as f64 - off(node) / step * (next as f64 - node as f64))
         };
-        if entered.is_none() && last > 0 {
-            if let Some(crossing) = beyond(0, 1).filter(|crossing| *crossing < 0.0) {
-                return Visit {
-                    first,
-                    middle: crossing,
-                };
-            }
+        let before_all = (entered.is_none() && last > 0).then(|| beyond(0, 1));
+        if let Some(crossing) = before_all.flatten().filter(|crossing| *crossing < 0.0) {
+            return Visit {
+                first,
+                middle: crossing,
+            };
         }
         let mut nearest = first;
         for node in first..last {
