@@ -306,14 +306,14 @@ fn cases() -> Vec<Case> {
             "\"ply\" in the header of a binary STL",
             CHECK,
             0,
-            "triangles           1",
+            "  triangles         1",
             |folder| mesh(folder, "part.stl", binary_stl("ply exported")),
         ),
         case(
             "a PLY with faces before vertices",
             CHECK,
             0,
-            "triangles           1",
+            "  triangles         1",
             |folder| {
                 let text = ply(&[FACES, VERTICES], "3 0 1 2\n0 0 0\n8 0 0\n0 8 0\n");
                 mesh(folder, "part.ply", text);
@@ -323,7 +323,7 @@ fn cases() -> Vec<Case> {
             "^Z at the end of an OBJ",
             CHECK,
             0,
-            "triangles           1",
+            "  triangles         1",
             |folder| {
                 mesh(
                     folder,
