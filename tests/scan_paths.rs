@@ -247,7 +247,7 @@ const MISTAKES: &[(&str, &str)] = &[
     ("ROTARY", "scan.frames is missing"),
     (
         "frames = 3\nstep_mm = 1\nROTARY",
-        ":41: scan.step_mm: found 1, expected no such key beside",
+        ":41: scan.step_mm: found 1, expected none beside",
     ),
     (
         "frames = 3\ndirection = [1, 0, 0]\nROTARY",

@@ -167,10 +167,10 @@ impl Source {
             .filter(|entry| matches!(entry.kind, Kind::Table) && entry.value.contains(&offset));
         let inline = around.max_by_key(|entry| entry.value.start);
         let before = self.text[..offset.min(self.text.len())].lines();
-        let headers = before
+        let mut headers = before
             .map(str::trim_start)
             .filter(|line| line.starts_with('['));
-        let header = headers.last().and_then(|line| {
+        let header = headers.next_back().and_then(|line| {
             let line = line.trim_start_matches('[');
             line.split_once(']').map(|(table, _)| table.trim())
         });
@@ -317,7 +317,7 @@ fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {
                 collect(&key, inner, entries);
                 Kind::Table
             }
-            DeValue::Array(list) => match list.get(0).map(|first| first.get_ref()) {
+            DeValue::Array(list) => match list.first().map(|first| first.get_ref()) {
                 Some(DeValue::Table(_)) => Kind::Tables,
                 _ => Kind::List,
             },
