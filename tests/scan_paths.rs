@@ -256,7 +256,7 @@ const MISTAKES: &[(&str, &str)] = &[
     ("ROTARY\nposes = \"path.csv\"", ":39: scan: found"),
     (
         "poses = \"path.csv\"\nframes = 2",
-        ":41: scan.frames: found 2, expected no such key",
+        ":41: scan.frames: found 2, expected no frames beside scan.poses",
     ),
     (
         "poses = \"no.csv\"",
@@ -269,7 +269,7 @@ const MISTAKES: &[(&str, &str)] = &[
     ),
     (
         "frames = 3\nmoves = \"both\"\nROTARY",
-        ":41: scan.moves: found unknown variant",
+        ":41: scan.moves: found \"both\", expected",
     ),
     (
         "frames = 3\nrotary = { axis_point_mm = [0, 0, 0], axis_direction = [0, 0, 0], step_deg = 1 }",

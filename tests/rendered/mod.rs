@@ -71,12 +71,16 @@ impl Geometry {
                 vector(axis)
             ),
         };
+        // Named, as the plan leaves out what moves neighbouring frames by little.
+        let plan = match self.step {
+            Step::Way(_) if speckle => "[plan]\nspeckle_slips = true",
+            _ => "",
+        };
         let text = format!(
             r#"
 seed = 3
 speckle = {speckle}
-[plan]
-speckle_slips = true
+{plan}
 [part]
 plane = {{ size_mm = [60, 60] }}
 reflectance = 0.6
