@@ -72,10 +72,8 @@ impl Geometry {
             ),
         };
         // Named, as the plan leaves out what moves neighbouring frames by little.
-        let plan = match self.step {
-            Step::Way(_) if speckle => "[plan]\nspeckle_slips = true",
-            _ => "",
-        };
+        let slips = speckle && matches!(self.step, Step::Way(_));
+        let plan = ["", "[plan]\nspeckle_slips = true"][usize::from(slips)];
         let text = format!(
             r#"
 seed = 3
