@@ -236,19 +236,21 @@ fn a_scan_of_an_assembly_is_that_of_the_flattened_mesh() {
 #[test]
 fn check_and_render_tell_of_the_copies() {
     let folder = folder();
-    let (code, out, error) = run(folder.path(), &["check", "scene.toml"]);
-    assert_eq!(code, 0, "{error}");
-    for words in [
-        "\"copies\": 4",
-        "\ncopies              4, together in a box of",
+    for (scene, page, json) in [
+        (
+            "scene.toml",
+            "\n  copies            4, together ",
+            "\"copies\":4",
+        ),
+        ("flat.toml", "\n  triangles ", "\"copies\":1"),
     ] {
-        assert!(out.contains(words), "{words}: {out}");
+        let (code, out, error) = run(folder.path(), &["check", scene]);
+        assert_eq!(code, 0, "{error}");
+        assert!(out.contains(page), "{page}: {out}");
+        assert_eq!(out.contains("together"), scene == "scene.toml", "{out}");
+        let (_, out, _) = run(folder.path(), &["check", scene, "--json"]);
+        assert!(out.contains(json), "{json}: {out}");
     }
-    let (code, out, _) = run(folder.path(), &["check", "flat.toml"]);
-    assert!(
-        code == 0 && out.contains("\"copies\": 1") && !out.contains("together"),
-        "{out}"
-    );
     for (scene, layer) in [("scene.toml", true), ("flat.toml", false)] {
         let (code, _, error) = run(
             folder.path(),

@@ -316,7 +316,7 @@ fn mistakes_about_calibrations_are_named() {
     );
     let (_, error) = refused(&[("columns = [1, 0, 0]\n", &folds.replace("k1", "k4"))], "");
     assert!(
-        error.contains("camera.distortion.k4: found unknown"),
+        error.contains("camera.distortion.k4: found a key that [camera.distortion] does not have"),
         "{error}"
     );
 }

@@ -211,7 +211,7 @@ fn cases() -> Vec<Case> {
             "the same, before it",
             "ulimit -v 4000000; lasertrace check scene.toml",
             0,
-            "  memory              … GB: MORE THAN THE … GB THAT ARE FREE",
+            "  memory            … GB: MORE THAN THE … GB THAT ARE FREE",
             |folder| changed(folder, "frames = 3", "frames = 4294967295"),
         ),
         case(

@@ -102,8 +102,8 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
                 .position(|w| w == b"end_header\n")
                 .unwrap()
                 + 11;
-            // Three doubles, four floats, two integers, the flags.
-            bytes.len() - header == vertices * 50
+            // Three doubles, seven floats, three bytes of colour, three integers.
+            bytes.len() - header == vertices * 67
         }
         // Its own checksums say how much of it is whole: tests/resume.rs.
         "journal" => true,

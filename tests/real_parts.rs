@@ -218,14 +218,14 @@ fn read_cloud(path: &Path) -> Vec<(u32, u32, f64, bool)> {
         + 11;
     let number = |record: &[u8], at: usize| -> [u8; 4] { record[at..at + 4].try_into().unwrap() };
     bytes[header..]
-        .chunks_exact(50)
+        .chunks_exact(67)
         .map(|record| {
-            let [deviation, sigma] = [24, 32].map(|at| f32::from_le_bytes(number(record, at)));
+            let [deviation, sigma] = [39, 47].map(|at| f32::from_le_bytes(number(record, at)));
             // OUTSIDE says nothing of the peak.
-            let flagged = record[48] & !64 != 0;
+            let flagged = record[63] & !64 != 0;
             (
-                u32::from_le_bytes(number(record, 40)),
-                u32::from_le_bytes(number(record, 44)),
+                u32::from_le_bytes(number(record, 55)),
+                u32::from_le_bytes(number(record, 59)),
                 deviation as f64,
                 flagged || deviation.abs() <= 6.0 * sigma,
             )

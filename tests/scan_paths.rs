@@ -235,7 +235,7 @@ const ROTARY: &str =
 
 /// The lines of `[scan]`, and what the message then holds.
 const MISTAKES: &[(&str, &str)] = &[
-    ("", "scan.direction: found no such key"),
+    ("", "scan.direction is missing"),
     (
         "frames = 3\ndirection = [0, 1, 0]",
         "scan.step_mm: found no such key",

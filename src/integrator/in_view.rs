@@ -12,6 +12,7 @@ use crate::laser::Laser;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3, Rigid};
 use rayon::prelude::*;
+use std::f64::consts::TAU;
 
 /// A laser and a camera that stand still to each other.
 #[derive(Debug, Clone, Copy)]
@@ -21,8 +22,8 @@ pub struct Optics<'a> {
     pub camera_from_laser: &'a Rigid,
 }
 
-/// Where the middle of the laser's light meets the part along a path, in the camera's
-/// view.
+/// Where the laser's light meets the part along a path, in the camera's view: the middle of a
+/// line, and of a beam what is within its radius.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct InView {
     /// Places on the part that are lit and seen, laser frame, mm; in the order of the
@@ -95,10 +96,11 @@ impl InView {
             laser_from_camera: optics.camera_from_laser.inverse(),
             projector: optics.camera.model().projector(),
             angles,
-            rays: match optics.laser.fan {
-                None => 1,
-                Some(_) => (RAYS / chosen.len().max(1)).min(RAYS / RAYS_PER_FRAME),
-            },
+            rays: (RAYS / chosen.len().max(1)).min(match optics.laser.fan {
+                None => RAYS_PER_FRAME,
+                Some(_) => RAYS / RAYS_PER_FRAME,
+            }),
+            distance: optics.overlap().first().map_or(1.0, |place| place.z),
         };
         let found: Vec<(u32, InView)> = chosen
             .into_par_iter()
@@ -168,40 +170,54 @@ struct Tracer<'a> {
     angles: [f64; 2],
     /// In each frame.
     rays: usize,
+    /// From the laser to where a beam's rays are as far off its axis as its width there has it;
+    /// they are taken as straight, mm.
+    distance: f64,
 }
 
 impl Tracer<'_> {
     fn frame(&self, part_from_laser: &Rigid, key: Key) -> InView {
         let [low, high] = self.angles;
-        let directions: Vec<DVec3> = (0..self.rays)
-            .map(|i| {
-                let share = (i as f64 + key.uniform(i as u64)) / self.rays as f64;
+        let laser = self.optics.laser;
+        let [near, far] = [0.0, self.distance].map(|z| laser.beam.radius(z));
+        let ray = |i: usize| {
+            let share = (i as f64 + key.uniform(i as u64)) / self.rays as f64;
+            if laser.fan.is_some() {
                 let (x, z) = (low + (high - low) * share).sin_cos();
-                part_from_laser.vector(DVec3::new(x, 0.0, z))
-            })
-            .collect();
+                return (DVec3::ZERO, DVec3::new(x, 0.0, z));
+            }
+            // The first on the axis; the others evenly over the beam's disc.
+            let radius = if i == 0 { 0.0 } else { share.sqrt() };
+            let turn = TAU * key.uniform((self.rays + i) as u64);
+            let off = DVec2::from_angle(turn) * radius;
+            let start = (off * near).extend(0.0);
+            (start, (off * far).extend(self.distance) - start)
+        };
+        let ray = |i| {
+            let (start, towards) = ray(i);
+            Ray {
+                origin: part_from_laser.point(start),
+                direction: part_from_laser.vector(towards).normalize(),
+                t_max: f64::INFINITY,
+            }
+        };
+        let rays: Vec<Ray> = (0..self.rays).map(ray).collect();
         let mut seen = InView {
-            rays: directions.len(),
+            rays: rays.len(),
             ..InView::default()
         };
-        for directions in directions.chunks(WIDTH) {
-            self.trace(part_from_laser, directions, &mut seen);
+        for rays in rays.chunks(WIDTH) {
+            self.trace(part_from_laser, rays, &mut seen);
         }
         seen
     }
 
-    fn trace(&self, part_from_laser: &Rigid, directions: &[DVec3], seen: &mut InView) {
+    fn trace(&self, part_from_laser: &Rigid, rays: &[Ray], seen: &mut InView) {
         let resolution = self.optics.camera.sensor.resolution.as_dvec2();
         let laser_from_part = part_from_laser.inverse();
         let eye = part_from_laser.point(self.laser_from_camera.translation);
-        let ray = |&direction: &DVec3| Ray {
-            origin: part_from_laser.translation,
-            direction,
-            t_max: f64::INFINITY,
-        };
-        let rays: Vec<Ray> = directions.iter().map(ray).collect();
         let (mut places, mut sights) = (Vec::new(), Vec::new());
-        for hit in self.accel.closest(&rays, |_, _| true).into_iter().flatten() {
+        for hit in self.accel.closest(rays, |_, _| true).into_iter().flatten() {
             seen.met += 1;
             let place = laser_from_part.point(hit.point);
             let pixel = self
