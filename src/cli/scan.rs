@@ -25,7 +25,8 @@ pub struct Arguments {
     /// Exit with code 65 if nothing worth having can be or was measured
     #[arg(long)]
     strict: bool,
-    /// Also write cloud.csv, cloud.e57, profiles.npy
+    /// Also write cloud.csv, cloud.e57, profiles.npy; intensity_dn is the sum of the line's
+    /// counts above black in its column
     #[arg(long, value_name = "FORMAT", value_delimiter = ',')]
     also: Vec<Also>,
     /// Folder to write to

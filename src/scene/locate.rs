@@ -88,6 +88,13 @@ impl Source {
         &self.text
     }
 
+    /// The text before `offset`, at most to its end, and to the start of a character.
+    fn before(&self, offset: usize) -> &str {
+        let mut ends = (0..=offset.min(self.text.len())).rev();
+        let end = ends.find(|&end| self.text.is_char_boundary(end));
+        &self.text[..end.unwrap_or(0)]
+    }
+
     fn line(&self, offset: usize) -> Place {
         let before = &self.text.as_bytes()[..offset.min(self.text.len())];
         Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
@@ -129,13 +136,10 @@ impl Source {
     fn not_toml(&self, error: &toml::de::Error) -> Error {
         let at = error.span().unwrap_or(0..0);
         let place = self.line(at.start);
-        let end = self.text.len();
-        let start = self.text[..at.start.min(end)]
-            .rfind('\n')
-            .map_or(0, |n| n + 1);
+        let start = self.before(at.start).rfind('\n').map_or(0, |n| n + 1);
         let line = self.text[start..].lines().next().unwrap_or_default().trim();
         if error.message() == "duplicate key" {
-            let name = &self.text[at.start.min(end)..at.end.min(end)];
+            let name = &self.before(at.end)[self.before(at.start).len()..];
             let key = self.key_at(at.start, name.trim_matches(['[', ']', ' ']));
             // Of a table that is there twice the second may be all that is kept.
             let mut before = self.entries.iter().filter(|e| e.at.start < at.start);
@@ -166,7 +170,7 @@ impl Source {
             .iter()
             .filter(|entry| matches!(entry.kind, Kind::Table) && entry.value.contains(&offset));
         let inline = around.max_by_key(|entry| entry.value.start);
-        let before = self.text[..offset.min(self.text.len())].lines();
+        let before = self.before(offset).lines();
         let mut headers = before
             .map(str::trim_start)
             .filter(|line| line.starts_with('['));
