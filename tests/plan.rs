@@ -156,3 +156,75 @@ fn a_chart_compares_all_ways_with_the_full_model() {
     let svg = fs::read_to_string(folder.path().join("out/chart.svg")).unwrap();
     assert!(svg.contains("tolerance 30.0 µm") && !svg.contains("NaN") && !svg.contains("inf"));
 }
+
+/// Three sensors out of focus over leaning planes, drawn from a seed: the share of points
+/// whose blur is wider than two standard deviations of their line, from the depth of each in
+/// its profile by the equation of the thin lens, is what summary and plan say. The profiles'
+/// digits leave the side of points open whose two widths differ by less than a thousandth;
+/// the plan looks at all three frames, but not at points that a flag makes doubtful.
+#[test]
+fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
+    use lasertrace::math::rng::{Key, Purpose};
+    use lasertrace::math::{DMat3, DVec3};
+    let mut partly = 0;
+    for i in 0..3 {
+        let key = Key::new(31, Purpose::SensorNoise).with(i);
+        let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
+        let lean = between(0, 20.0, 28.0).to_radians();
+        let (focus, f_number) = (between(1, 113.0, 118.0), between(2, 1.4, 2.2));
+        let text = with(
+            "[accuracy]\nheight_um = 50\n\
+             [plan]\nnoise = false\ngeometry_only = false\nsamples_per_side = 4\nsampling = \"planes\"\n",
+        )
+        .replace("rotation_deg = [0, 0, 0]", &format!("rotation_deg = [0, {}, 0]", lean.to_degrees()))
+        .replace("focus_distance_mm = 115", &format!("focus_distance_mm = {focus}"))
+        .replace("waist_radius_um = 300", "waist_radius_um = 150")
+        .replace("f_number = 8", &format!("f_number = {f_number}"));
+        let folder = folder_with(&text);
+        let summary = json(
+            folder.path(),
+            &["scan", "scene.toml", "-o", "out", "--json"],
+        );
+        let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
+        let eye = DVec3::new(0.0, -57.5, 99.6);
+        let behind = 1.0 / (1.0 / 16.0 - 1.0 / focus);
+        let (mut points, mut blurred, mut open, mut doubtful) = (0.0, 0.0, 0.0, 0.0);
+        for frame in 0..3 {
+            let path = folder
+                .path()
+                .join(format!("out/profiles/profile-{frame:06}.csv"));
+            let head = DVec3::Y * (-0.5 + 0.5 * frame as f64);
+            for line in fs::read_to_string(path).unwrap().lines().skip(1) {
+                let cells: Vec<&str> = line.split(',').collect();
+                if cells[5].is_empty() {
+                    continue;
+                }
+                let number = |cell: usize| cells[cell].parse::<f64>().unwrap();
+                let place = DVec3::new(number(5), number(6), number(7));
+                let from_eye = DMat3::from_rotation_y(lean) * place - eye - head;
+                let image = 1.0 / (1.0 / 16.0 - 1.0 / from_eye.dot(-eye.normalize()));
+                let blur = 16.0 / f_number * (behind / image - 1.0).abs() / 0.03;
+                let ratio = blur / (2.0 * number(3));
+                points += 1.0;
+                blurred += f64::from(u8::from(ratio > 1.0));
+                open += f64::from(u8::from((ratio - 1.0).abs() < 1e-3));
+                doubtful += f64::from(u8::from(!cells[4].is_empty()));
+            }
+        }
+        let found = summary["blurred_share"].as_f64().unwrap();
+        assert!(points > 60.0, "{points}");
+        assert!(
+            (found * points - blurred).abs() <= open + 1e-9,
+            "{found} {blurred} of {points}"
+        );
+        let planned = plan["blurred_share"].as_f64().unwrap();
+        assert!(
+            (planned - found).abs() * points <= doubtful + open + 1e-9,
+            "{planned} {found} {doubtful}"
+        );
+        partly += u32::from(blurred > 0.0 && blurred < points);
+        let report = fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+        assert!(report.contains("wider than two standard deviations of their line"));
+    }
+    assert!(partly > 0, "no scene has points of both kinds");
+}

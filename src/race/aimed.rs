@@ -17,6 +17,8 @@ pub struct Aimed {
     pub rays: Vec<FlatRay>,
     /// Distance to what each is aimed at.
     targets: Vec<f64>,
+    /// From where they come, off what they are aimed at: the mesh's diagonal.
+    distance: f64,
 }
 
 pub struct AimedRays {
@@ -94,12 +96,18 @@ impl Fans {
     }
 }
 
+/// Vertices of more triangles, and their edges, are not aimed at: to find out whether they
+/// are closed takes the square of the triangles.
+const MOST_AROUND: usize = 64;
+
 /// Up to `count` rays at edges and as many at vertices, fewer where a mesh has few
 /// that qualify.
 pub fn rays(mesh: &Mesh, count: usize) -> AimedRays {
     let fans = Fans::new(mesh);
     let key = Key::new(2, Purpose::RaceRays);
+    let distance = mesh.bounds().size().length();
     let empty = || Aimed {
+        distance,
         rays: Vec::new(),
         targets: Vec::new(),
     };
@@ -112,6 +120,9 @@ pub fn rays(mesh: &Mesh, count: usize) -> AimedRays {
         let triangle = (key.uniform(0) * mesh.triangles.len() as f64) as usize;
         let [a, b, _] = mesh.triangles[triangle];
         let ends = [a, b].map(|v| mesh.positions[v as usize]);
+        if fans.of(a).len() > MOST_AROUND {
+            continue;
+        }
         let beside = fans.at_edge(mesh, a, b);
         if beside.len() == 2 {
             let target = ends[0].lerp(ends[1], key.uniform(1));
@@ -135,8 +146,7 @@ fn aim(mesh: &Mesh, triangles: &[u32], target: DVec3, key: Key, into: &mut Aimed
         return;
     };
     let random = DVec3::from_array(std::array::from_fn(|k| 2.0 * key.uniform(k as u64) - 1.0));
-    let distance = mesh.bounds().size().length();
-    let eye = (target + (up + 0.8 * random).normalize() * distance)
+    let eye = (target + (up + 0.8 * random).normalize() * into.distance)
         .as_vec3()
         .as_dvec3();
     let Some(ray) = Ray::between(eye, target) else {
