@@ -15,6 +15,7 @@ use lasertrace::mesh::{Mesh, shapes};
 use lasertrace::scene::Scene;
 use pairs::{print_ratio, seconds};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Balls of 1.8 mm, 2.2 mm apart, on 40 × 25 places: 88 × 55 mm, a little bowed.
@@ -27,11 +28,11 @@ fn poses() -> Vec<Rigid> {
 }
 
 /// The demo's sensor over a mesh and copies of it.
-fn scene(mesh: Mesh, copies: Vec<Rigid>) -> Scene {
+fn scene(mesh: Mesh, copies: &[Rigid]) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
     Scene {
-        mesh,
-        copies,
+        mesh: mesh.into(),
+        copies: copies.into(),
         ..Scene::load(&path).unwrap()
     }
 }
@@ -44,7 +45,7 @@ fn resident() -> f64 {
 }
 
 /// Seconds and resident bytes of what is built over a mesh and its copies.
-fn built(mesh: &Mesh, poses: &[Rigid]) -> (f64, f64) {
+fn built(mesh: &Arc<Mesh>, poses: &[Rigid]) -> (f64, f64) {
     let before = resident();
     let start = Instant::now();
     let accel = Accel::build(mesh, 1).unwrap().with_copies(poses).unwrap();
@@ -60,7 +61,7 @@ fn assembly(c: &mut Criterion) {
         .build_global()
         .unwrap();
     let (one, thousand) = ([Rigid::IDENTITY], poses());
-    let large = shapes::sphere(0.9, 1e-5).unwrap();
+    let large = Arc::new(shapes::sphere(0.9, 1e-5).unwrap());
     for (copies, poses) in [(1, &one[..]), (1000, &thousand)] {
         let (seconds, bytes) = built(&large, poses);
         let (triangles, ms, mb) = (large.triangles.len(), seconds * 1e3, bytes / 1e6);
@@ -71,8 +72,8 @@ fn assembly(c: &mut Criterion) {
     });
     let ball = shapes::sphere(0.9, 1e-3).unwrap();
     let triangles = ball.triangles.len() * thousand.len();
-    let flat = scene(flattened(&ball, &thousand), one.to_vec());
-    let copies = scene(ball, thousand);
+    let flat = scene(flattened(&ball, &thousand), &one);
+    let copies = scene(ball, &thousand);
     let [flat, copies] = [&flat, &copies].map(|scene| Simulation::new(scene).unwrap());
     let lit = |simulation: &Simulation, frame: u32| {
         let image = simulation.irradiance(frame);

@@ -152,7 +152,7 @@ fn main() {
     for timed in &scenes {
         let simulation = Simulation::new(&timed.scene).unwrap();
         let whole = one_mesh(&timed.scene.mesh, &timed.scene.copies);
-        let embree = BareEmbree::build(&whole, true, 1).unwrap();
+        let embree = BareEmbree::build(&whole.into(), true, 1).unwrap();
         let rays = rays(&simulation, timed);
         let count = |packets: &[Vec<FlatRay>]| packets.iter().map(Vec::len).sum::<usize>();
         let (camera, shadow) = (count(&rays.camera), count(&rays.shadow));

@@ -13,6 +13,7 @@ use lasertrace::mesh::{self, Mesh};
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Rays a side of the camera's picture.
@@ -187,7 +188,7 @@ fn resident() -> f64 {
 fn once(file: &Path, size: &str) {
     let before = resident();
     let start = Instant::now();
-    let mesh = mesh::load(file, 1.0).unwrap();
+    let mesh = Arc::new(mesh::load(file, 1.0).unwrap());
     let loaded = start.elapsed().as_secs_f64();
     let accel = Accel::build(&mesh, rayon::current_num_threads()).unwrap();
     let built = start.elapsed().as_secs_f64();
@@ -209,7 +210,7 @@ fn once(file: &Path, size: &str) {
 }
 
 fn meshes(c: &mut Criterion) {
-    let part = demo_part();
+    let part = Arc::new(demo_part());
     let base = Accel::build(&part, 1).unwrap();
     let rays = Rays::new(&base);
     let known = Answers {
@@ -228,7 +229,7 @@ fn meshes(c: &mut Criterion) {
         fs::write(&file, stl(&part, times)).unwrap();
         once(&file, size);
         let bytes = fs::read(&file).unwrap();
-        let mesh = mesh::parse(&file, &bytes, 1.0).unwrap();
+        let mesh = Arc::new(mesh::parse(&file, &bytes, 1.0).unwrap());
         let triangles = mesh.triangles.len();
         assert_eq!(triangles, part.triangles.len() << (2 * times));
         // Euler's number: division adds a vertex for each edge.

@@ -81,7 +81,7 @@ fn throughput(c: &mut Criterion) {
     group.bench_function("peaks, points, deviation", |b| {
         b.iter(|| simulation.measure(480, &counts))
     });
-    geometry(&mut group, simulation.scene);
+    geometry(&mut group, &simulation.scene);
     against_all(simulation, &clusters);
     #[cfg(feature = "race")]
     bare::against_integrator(simulation);

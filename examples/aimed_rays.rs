@@ -18,6 +18,7 @@ use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::mesh::{self, Mesh, shapes};
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The triangles around each vertex of a mesh.
@@ -186,9 +187,10 @@ fn main() {
         ),
     ];
     println!("{backend:?}; rays, lost, false, shadow rays lost, those through; ns a camera ray");
-    for (name, mesh) in &meshes {
-        let accel = Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap();
-        let oracle = Accel::build_with(Backend::Rust, mesh, 1, &|_| Ok(())).unwrap();
+    for (name, mesh) in meshes {
+        let mesh = Arc::new(mesh);
+        let accel = Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap();
+        let oracle = Accel::build_with(Backend::Rust, &mesh, 1, &|_| Ok(())).unwrap();
         let camera = camera(&accel);
         for (what, on_edge) in [("vertices", false), ("edges", true)] {
             let t = race(&accel, &oracle, on_edge, count / 10);

@@ -37,8 +37,8 @@ fn poses() -> Vec<Rigid> {
 fn scenes(backend: Backend) -> [Scene; 2] {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket/scene.toml");
     let [mut copies, mut flat] = [0, 1].map(|_| Scene::load(&path).unwrap());
-    copies.copies = poses();
-    flat.mesh = flattened(&flat.mesh, &poses());
+    copies.copies = poses().into();
+    flat.mesh = flattened(&flat.mesh, &poses()).into();
     copies.accel = backend;
     flat.accel = backend;
     [copies, flat]
@@ -59,7 +59,7 @@ fn images_are_those_of_the_flattened_mesh() {
         let scenes = scenes(backend);
         let [copies, flat] = [0, 1].map(|i| Simulation::new(&scenes[i]).unwrap());
         let alone = Scene {
-            copies: vec![poses()[0]],
+            copies: [poses()[0]].into(),
             ..Scene::load(&scenes[0].path).unwrap()
         };
         let alone = Simulation::new(&alone).unwrap();
@@ -86,7 +86,7 @@ fn images_are_those_of_the_flattened_mesh() {
 #[test]
 fn a_copy_shades_another() {
     let [mut scene, _] = scenes(Backend::default());
-    scene.mesh = shapes::plane([30.0, 30.0].into()).unwrap();
+    scene.mesh = shapes::plane([30.0, 30.0].into()).unwrap().into();
     scene.speckle = None;
     let low = pose([0.0; 3], [0.0, 0.0, 5.0]);
     // In the way of half of the light, and not of the camera, which looks 30° from the
@@ -94,10 +94,10 @@ fn a_copy_shades_another() {
     let roof = pose([180.0, 0.0, 0.0], [15.0, 18.0, 60.0]);
     let light = |copies: Vec<Rigid>| {
         let mut scene = Scene {
-            copies,
+            copies: copies.into(),
             ..Scene::load(&scene.path).unwrap()
         };
-        (scene.mesh, scene.speckle) = (shapes::plane([30.0, 30.0].into()).unwrap(), None);
+        (scene.mesh, scene.speckle) = (shapes::plane([30.0, 30.0].into()).unwrap().into(), None);
         let simulation = Simulation::new(&scene).unwrap();
         let image = simulation.irradiance(130);
         let columns = (0..image.rows()).flat_map(|row| image.row(row));

@@ -21,10 +21,10 @@ fn a_thousand_copies_take_what_one_does() {
     let small = shapes::sphere(1.0, 0.1).unwrap();
     let places = (0..200_000).map(|i| DVec3::new((i % 500) as f64, (i / 500) as f64, 0.0));
     let poses: Vec<Rigid> = places.map(Rigid::translation).collect();
-    let accel = Accel::build_with(Backend::Rust, &small, 1, &|_| Ok(())).unwrap();
+    let accel = Accel::build_with(Backend::Rust, &small.clone().into(), 1, &|_| Ok(())).unwrap();
     let before = ALLOCATED.current_usage();
     ALLOCATED.reset_peak_usage();
-    drop(accel.with_copies(&poses).unwrap());
+    drop(accel.with_copies(poses.clone()).unwrap());
     let each = (ALLOCATED.peak_usage() - before) / poses.len();
     println!("{each} bytes a copy while their tree is built");
     assert!(each < 220, "{each}");
@@ -35,8 +35,8 @@ fn a_thousand_copies_take_what_one_does() {
         let places = (0..count).map(|i| DVec3::new((i % 32) as f64, (i / 32) as f64, 0.0) * 1.7);
         let poses: Vec<Rigid> = places.map(Rigid::translation).collect();
         let clusters = Clusters::new(&mesh);
-        let accel = Accel::build_with(Backend::Rust, &mesh, 1, &|_| Ok(())).unwrap();
-        let accel = accel.with_copies(&poses).unwrap();
+        let accel = Accel::build_with(Backend::Rust, &mesh.clone().into(), 1, &|_| Ok(())).unwrap();
+        let accel = accel.with_copies(poses.clone()).unwrap();
         let taken = ALLOCATED.current_usage() - before;
         assert_eq!(accel.poses().len(), count);
         drop(clusters);

@@ -145,7 +145,10 @@ fn the_sign_is_that_of_the_closed_form_beyond_silhouettes_too() {
                 })
                 .collect();
             for mesh in [&mesh, &inside_out(&mesh)] {
-                let accel = Accel::build(mesh, 1).unwrap().with_copies(&poses).unwrap();
+                let accel = Accel::build(&mesh.clone().into(), 1)
+                    .unwrap()
+                    .with_copies(poses.clone())
+                    .unwrap();
                 let (mut tried, mut errs) = (0, 0);
                 while tried < 2000 {
                     let pose = &poses[random.choice(3)];
@@ -234,7 +237,7 @@ fn the_sign_at_sharp_edges_and_corners_is_that_of_the_winding_number() {
     for part in 0..30 {
         let mesh = spiky(&mut random);
         assert_eq!(report(&mesh).orientation, Orientation::Outward, "{part}");
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         for _ in 0..300 {
             let (q, [a, b, _]) = on_surface(&mesh, &mut random);
             let q = [q, a, (a + b) / 2.0][random.choice(3)];
@@ -291,7 +294,7 @@ fn a_shell_is_what_the_mesh_report_calls_closed_and_facing_one_way() {
             "{facing:?}"
         );
     }
-    let accel = Accel::build(&split, 1).unwrap();
+    let accel = Accel::build(&split.clone().into(), 1).unwrap();
     let [_, b, c] = block.triangle(0);
     let middle = block.bounds().center().with_z(1.0);
     for share in [0.0, 0.25, 0.5, 0.75, 1.0] {

@@ -117,7 +117,7 @@ const UNMOVED: &[Rigid] = &[Rigid::IDENTITY];
 
 /// A part with what is built over it.
 struct Part<'m> {
-    accel: Accel<'m>,
+    accel: Accel,
     clusters: Clusters,
     fields: &'m FrameFields,
 }
@@ -134,8 +134,8 @@ fn fields() -> FrameFields {
 }
 
 impl<'m> Part<'m> {
-    fn new(mesh: &'m Mesh, poses: &'m [Rigid], fields: &'m FrameFields) -> Part<'m> {
-        let accel = Accel::build(mesh, 1).unwrap();
+    fn new(mesh: &'m Mesh, poses: &[Rigid], fields: &'m FrameFields) -> Part<'m> {
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         Part {
             accel: accel.with_copies(poses).unwrap(),
             clusters: Clusters::new(mesh),

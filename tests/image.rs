@@ -53,7 +53,7 @@ const REFLECTANCE: f64 = 0.4;
 
 impl Setup {
     fn image(&self) -> Vec<f32> {
-        let accel = Accel::build(&self.mesh, 1).unwrap();
+        let accel = Accel::build(&self.mesh.clone().into(), 1).unwrap();
         irradiance_image(&View {
             accel: &accel,
             surface: Lambert {

@@ -52,8 +52,8 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
         })
         .collect();
     for &backend in Backend::value_variants() {
-        let [with, without] =
-            [&mesh, &sound].map(|mesh| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
+        let [with, without] = [&mesh, &sound]
+            .map(|mesh| Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap());
         // Other corners make another box, and its f32 another side of the horizon.
         let mut off = 0;
         for (found, truth) in closest(&with, &rays).iter().zip(closest(&without, &rays)) {

@@ -53,7 +53,7 @@ fn residual(mesh: &Mesh, ray: &Ray, hit: &Hit) -> f64 {
 fn a_far_off_part_is_met_as_exactly_as_its_pose_can_say() {
     let mesh = shapes::sphere(0.5, 1e-4).unwrap();
     for &backend in Backend::value_variants() {
-        let accel = Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap();
+        let accel = Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap();
         let mut random = Random::new(1);
         for sizes in [1.0, 1e2, 1e4, 1e6] {
             let turn = random.vector(3.0);
@@ -87,7 +87,7 @@ fn vertices_far_off_in_the_file_keep_what_it_has() {
     for sizes in [1.0, 1e2, 1e4, 1e6] {
         let offset = DVec3::new(0.9, -0.3, 0.3) * sizes;
         let mesh = moved(shapes::sphere(0.5, 1e-3).unwrap(), offset);
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let mut random = Random::new(2);
         let rays: Vec<Ray> = (0..4000)
             .map(|_| {
@@ -136,8 +136,9 @@ fn no_ray_is_lost_at_vertices_and_edges_of_closed_meshes() {
     let mut met = 0;
     for mesh in &meshes {
         let (size, fans) = (mesh.bounds().size().length(), fans(mesh));
-        let [embree, rust] = [Backend::default(), Backend::Rust]
-            .map(|backend| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap());
+        let [embree, rust] = [Backend::default(), Backend::Rust].map(|backend| {
+            Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap()
+        });
         let normal = |t: &usize| {
             let [a, b, c] = mesh.triangle(*t);
             (b - a).cross(c - a).normalize()
@@ -186,7 +187,7 @@ fn slivers_give_no_far_hits() {
                 .extend([tip, tip + random.vector(1.0) * 10.0 * width]);
             mesh.triangles.push([0, 2 * i + 1, 2 * i + 2]);
         }
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         // Half of the rays run along a sliver, off it by about its width.
         let rays: Vec<Ray> = (0..40_000)
             .map(|i| {
@@ -232,7 +233,7 @@ fn shells_a_tenth_of_a_micrometre_apart() {
         // Turned, so that no coordinate is the same all over.
         let turn = Rigid::from_euler_xyz(DVec3::new(0.3, 0.5, 0.2), DVec3::ZERO);
         (mesh.positions.iter_mut()).for_each(|p| *p = turn.point(*p));
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let mut random = Random::new(5);
         let eye = turn.point(DVec3::new(0.1, -1.0, 2.0) * half);
         let lamp = turn.point(DVec3::new(0.3, 0.2, 2.5) * half);
@@ -264,7 +265,7 @@ fn shells_a_tenth_of_a_micrometre_apart() {
 #[test]
 fn a_plane_seen_and_lit_at_grazing_angles() {
     let mesh = shapes::plane(DVec2::splat(100.0)).unwrap();
-    let accel = Accel::build(&mesh, 1).unwrap();
+    let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
     for degrees in [0.0f64, 89.0, 89.9, 89.99, 89.999, 90.0] {
         let (sin, cos) = match degrees {
             90.0 => (1.0, 0.0),
@@ -301,7 +302,7 @@ fn a_plane_seen_and_lit_at_grazing_angles() {
 #[test]
 fn a_faceted_sphere_shades_itself_only_beyond_its_terminator() {
     let mesh = shapes::sphere(20.0, 0.004).unwrap();
-    let accel = Accel::build(&mesh, 1).unwrap();
+    let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
     let mut random = Random::new(7);
     let mut dark = [0; 3];
     let mut all = [0; 3];
@@ -348,11 +349,11 @@ fn winding_does_not_matter() {
     let rays: Vec<Ray> = (0..20_000)
         .map(|_| endless(random.direction() * 80.0, random.vector(14.0).with_z(4.0)))
         .collect();
-    let accel = Accel::build(&sound, 1).unwrap();
+    let accel = Accel::build(&sound.clone().into(), 1).unwrap();
     let truth = closest(&accel, &rays);
     for every in [1, 2, 3] {
         let mesh = turned(every);
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         for ((ray, truth), found) in rays.iter().zip(&truth).zip(closest(&accel, &rays)) {
             let (Some(truth), Some(found)) = (truth, found) else {
                 assert!(truth.is_none() && found.is_none(), "{ray:?}");

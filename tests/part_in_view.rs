@@ -18,7 +18,7 @@ use std::fs;
 
 fn in_view(scene: &Scene) -> InView {
     let accel = Accel::build(&scene.mesh, 1).unwrap();
-    part_in_view(scene, &accel.with_copies(&scene.copies).unwrap())
+    part_in_view(scene, &accel.with_copies(scene.copies.clone()).unwrap())
 }
 
 /// What a plan says of the line's image.

@@ -48,7 +48,7 @@ pub fn four() -> Vec<Timed> {
     }
     let mut scene = load(MACHINED, &part);
     for _ in 0..3 {
-        scene.mesh = divided(&scene.mesh);
+        scene.mesh = divided(&scene.mesh).into();
     }
     scenes.push(Timed {
         name: "machined",

@@ -24,7 +24,7 @@ fn endless(from: DVec3, to: DVec3) -> Ray {
 /// A ball of size 1, so many of its sizes from the world's origin.
 pub fn poses() -> Panel {
     let mesh = shapes::sphere(0.5, 1e-4).unwrap();
-    let accel = Accel::build(&mesh, 1).unwrap();
+    let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
     let (mut own, mut posed, mut narrowed) = (Vec::new(), Vec::new(), Vec::new());
     for power in 0..=7 {
         let sizes = 10f64.powi(power);
@@ -102,7 +102,7 @@ pub fn slivers() -> Panel {
                 .extend([tip, tip + random.vector(1.0) * 10.0 * width]);
             mesh.triangles.push([0, 2 * i + 1, 2 * i + 2]);
         }
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let (mut off, mut beside) = (0.0f64, 0.0f64);
         for i in 0..20_000 {
             let triangle = mesh.triangle(i % 200);
@@ -145,7 +145,7 @@ pub fn shells() -> Panel {
             .extend(below.iter().map(|t| t.map(|v| v + 4)));
         let turn = Rigid::from_euler_xyz(DVec3::new(0.3, 0.5, 0.2), DVec3::ZERO);
         mesh.positions.iter_mut().for_each(|p| *p = turn.point(*p));
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let mut random = Random::new(5);
         let eye = turn.point(DVec3::new(0.1, -1.0, 2.0) * half);
         let lamp = turn.point(DVec3::new(0.3, 0.2, 2.5) * half);

@@ -9,14 +9,14 @@ use crate::math::{Aabb, DVec3, Rigid};
 use crate::mesh::{Mesh, Shell, Watch, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Bounding-volume hierarchy over a part: a mesh or copies of it. All points, rays
 /// and planes are in the part's frame, in which the copies are posed.
-pub struct Accel<'m> {
-    hierarchy: Hierarchy<'m>,
+pub struct Accel {
+    hierarchy: Hierarchy,
     /// `None`: the mesh itself, unmoved.
-    copies: Option<Copies<'m>>,
+    copies: Option<Copies>,
     /// Made when it is first asked for; `None`: the mesh has no inside.
     shell: OnceLock<Option<Shell>>,
 }
@@ -30,9 +30,9 @@ struct Met {
     hit: Option<Hit>,
 }
 
-impl<'m> Accel<'m> {
+impl Accel {
     /// [`Self::build_with`] the default backend: Embree if it is built in.
-    pub fn build(mesh: &'m Mesh, threads: usize) -> Result<Accel<'m>> {
+    pub fn build(mesh: &Arc<Mesh>, threads: usize) -> Result<Accel> {
         Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
     }
 
@@ -41,10 +41,10 @@ impl<'m> Accel<'m> {
     /// Errors: `Error::Memory` if there is too little; what Embree reports; `watch`'s.
     pub fn build_with(
         backend: Backend,
-        mesh: &'m Mesh,
+        mesh: &Arc<Mesh>,
         threads: usize,
         watch: &Watch,
-    ) -> Result<Accel<'m>> {
+    ) -> Result<Accel> {
         Ok(Accel {
             hierarchy: Hierarchy::build(backend, mesh, threads, watch)?,
             copies: None,
@@ -55,21 +55,22 @@ impl<'m> Accel<'m> {
     /// The same hierarchy for copies of the mesh at these poses (at least one,
     /// part_from_copy), which takes some 80 bytes a copy beside them. Errors:
     /// `Error::Memory` if there is too little.
-    pub fn with_copies(self, poses: &'m [Rigid]) -> Result<Accel<'m>> {
-        let copies = match poses {
+    pub fn with_copies(self, poses: impl Into<Arc<[Rigid]>>) -> Result<Accel> {
+        let poses = poses.into();
+        let copies = match &*poses {
             [pose] if *pose == Rigid::IDENTITY => None,
             _ => {
                 let (count, bytes) = (poses.len() as u64, copies::BUILD);
                 let work = format!("placing {count} copies at {bytes} bytes each");
                 memory::require(work, count * bytes, memory::available())?;
-                Some(Copies::new(poses, &self.hierarchy.part().bounds))
+                Some(Copies::new(poses.clone(), &self.hierarchy.part().bounds))
             }
         };
         Ok(Accel { copies, ..self })
     }
 
     /// The mesh, in its own frame.
-    pub fn mesh(&self) -> &'m Mesh {
+    pub fn mesh(&self) -> &Arc<Mesh> {
         self.hierarchy.mesh()
     }
 

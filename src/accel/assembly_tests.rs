@@ -7,6 +7,7 @@ use super::*;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::shapes;
 use clap::ValueEnum;
+use std::sync::Arc;
 
 fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|j| {
@@ -48,9 +49,10 @@ fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
 }
 
 /// The assembly under every backend that is built in.
-fn accels<'m>(mesh: &'m Mesh, poses: &'m [Rigid]) -> impl Iterator<Item = Accel<'m>> {
+fn accels(mesh: &Mesh, poses: &[Rigid]) -> impl Iterator<Item = Accel> {
+    let mesh = Arc::new(mesh.clone());
     Backend::value_variants().iter().map(move |&backend| {
-        let accel = Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap();
+        let accel = Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap();
         accel.with_copies(poses).unwrap()
     })
 }
@@ -249,7 +251,10 @@ fn no_ray_is_lost_at_a_vertex_of_a_copy() {
 #[test]
 fn what_touches_a_volume_is_found_in_every_copy() {
     for (mesh, poses, _) in assemblies() {
-        let accel = Accel::build(&mesh, 1).unwrap().with_copies(&poses).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1)
+            .unwrap()
+            .with_copies(poses.clone())
+            .unwrap();
         let clusters = Clusters::new(&mesh);
         let key = Key::new(25, Purpose::SensorNoise);
         let (mut touching, mut copies) = (0, 0);
@@ -309,7 +314,7 @@ fn a_copy_unmoved_is_the_mesh_itself() {
             ..alone
         };
         let placed = Accel {
-            copies: Some(Copies::new(&unmoved, &mesh.bounds())),
+            copies: Some(Copies::new(unmoved.clone().into(), &mesh.bounds())),
             ..copy
         };
         // And by the other way to rounding.
@@ -328,7 +333,10 @@ fn a_copy_unmoved_is_the_mesh_itself() {
 fn equal_poses_are_no_trouble() {
     let mesh = shapes::plane([2.0, 2.0].into()).unwrap();
     let poses = vec![Rigid::translation(DVec3::Z); 100_000];
-    let accel = Accel::build(&mesh, 1).unwrap().with_copies(&poses).unwrap();
+    let accel = Accel::build(&mesh.clone().into(), 1)
+        .unwrap()
+        .with_copies(poses.clone())
+        .unwrap();
     let ray = Ray {
         origin: DVec3::new(0.3, 0.2, 5.0),
         direction: -DVec3::Z,

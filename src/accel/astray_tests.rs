@@ -6,6 +6,7 @@ use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use std::path::Path;
+use std::sync::Arc;
 
 fn endless(origin: [f64; 3], direction: [f64; 3]) -> Ray {
     Ray {
@@ -15,14 +16,14 @@ fn endless(origin: [f64; 3], direction: [f64; 3]) -> Ray {
     }
 }
 
-fn accel(backend: Backend, mesh: &Mesh) -> Accel<'_> {
-    Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap()
+fn accel(backend: Backend, mesh: &Mesh) -> Accel {
+    Accel::build_with(backend, &Arc::new(mesh.clone()), 1, &|_| Ok(())).unwrap()
 }
 
 /// The triangle that f32 says a ray meets.
 fn raw(mesh: &Mesh, ray: &Ray) -> Option<u32> {
     let part = PartBox::new(mesh.bounds());
-    let tree = Tree::build(mesh, &part, 1, &|_| Ok(())).unwrap();
+    let tree = Tree::build(&Arc::new(mesh.clone()), &part, 1, &|_| Ok(())).unwrap();
     let mut met = None;
     tree.closest(&[*ray], 1, &part, |_, triangle, _, _| met = Some(triangle));
     met
@@ -94,7 +95,7 @@ fn a_ray_that_passes_an_edge_meets_what_is_behind() {
     assert!(raw(&mesh, &rays[2]).is_some_and(|triangle| triangle < 2));
     let poses = [Rigid::translation(DVec3::Z * 5.0)];
     let alone = accel(Backend::Embree, &mesh);
-    let copy = accel(Backend::Embree, &mesh).with_copies(&poses).unwrap();
+    let copy = accel(Backend::Embree, &mesh).with_copies(poses).unwrap();
     for (accel, nearer) in [(alone, 0.0), (copy, 5.0)] {
         let heights = |wanted: fn(usize, f64) -> bool| {
             let hits = accel.closest(&rays, wanted);

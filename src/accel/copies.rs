@@ -12,14 +12,15 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
 use smallvec::SmallVec;
+use std::sync::Arc;
 use wide::f32x8;
 
 /// Bytes a copy takes while the tree is built, beside its pose: 201 measured.
 pub(super) const BUILD: u64 = 220;
 
-pub(super) struct Copies<'m> {
+pub(super) struct Copies {
     /// part_from_copy.
-    poses: &'m [Rigid],
+    poses: Arc<[Rigid]>,
     /// With one copy a leaf.
     tree: Bvh2,
     part: PartBox,
@@ -127,9 +128,9 @@ fn eight(rays: &[f32; WIDTH], part: usize) -> f32x8 {
     f32x8::new(lanes)
 }
 
-impl<'m> Copies<'m> {
+impl Copies {
     /// `poses` (at least one) are part_from_copy; `mesh` is the mesh's box.
-    pub fn new(poses: &'m [Rigid], mesh: &Aabb) -> Copies<'m> {
+    pub fn new(poses: Arc<[Rigid]>, mesh: &Aabb) -> Copies {
         let bounds = poses.iter().map(|pose| mesh.moved(pose));
         let part = PartBox::new(bounds.fold(Aabb::EMPTY, |all, one| all.with(&one)));
         let corners = |i: usize| {
@@ -140,14 +141,15 @@ impl<'m> Copies<'m> {
             max_prims_per_leaf: 1,
             ..BvhBuildParams::medium_build()
         };
+        let tree = tree_over(poses.len(), corners, &part, parameters);
+        let translations = poses
+            .iter()
+            .map(|pose| pose.translation.abs().max_element());
         Copies {
+            largest_translation: translations.fold(0.0, f64::max),
             poses,
-            tree: tree_over(poses.len(), corners, &part, parameters),
+            tree,
             part,
-            largest_translation: poses
-                .iter()
-                .map(|pose| pose.translation.abs().max_element())
-                .fold(0.0, f64::max),
         }
     }
 
@@ -160,8 +162,8 @@ impl<'m> Copies<'m> {
         self.part.bounds
     }
 
-    pub fn poses(&self) -> &'m [Rigid] {
-        self.poses
+    pub fn poses(&self) -> &[Rigid] {
+        &self.poses
     }
 
     fn below(&self, index: u32) -> Below {

@@ -12,15 +12,15 @@ use crate::mesh::{Mesh, Watch};
 use rayon::prelude::*;
 use std::ffi::c_void;
 use std::mem::MaybeUninit;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// Embree's scene of one mesh.
-pub struct Tree<'m> {
+pub struct Tree {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
     pub(super) device: Device,
     /// The scene refers to its triangles, or to the quads if there are any.
-    mesh: &'m Mesh,
+    mesh: Arc<Mesh>,
     quads: Option<Quads>,
 }
 
@@ -46,11 +46,11 @@ unsafe extern "C" fn tell(watched: *mut c_void, share: f64) -> bool {
 
 // SAFETY: Embree's scenes may be queried from many threads once committed, and
 // nothing here changes one after that.
-unsafe impl Send for Tree<'_> {}
+unsafe impl Send for Tree {}
 // SAFETY: as above.
-unsafe impl Sync for Tree<'_> {}
+unsafe impl Sync for Tree {}
 
-impl Drop for Tree<'_> {
+impl Drop for Tree {
     fn drop(&mut self) {
         // SAFETY: the handle is live and released only here.
         unsafe { ffi::lt_scene_release(self.scene) }
@@ -64,15 +64,15 @@ pub(super) struct Valid(pub(super) [i32; WIDTH]);
 /// vertices, 32 of what is sorted.
 pub(super) const BUILD: u64 = 105;
 
-impl<'m> Tree<'m> {
+impl Tree {
     /// Builds the hierarchy with `threads` threads. Errors: what Embree reports,
     /// such as too little memory; `watch`'s.
     pub(super) fn build(
-        mesh: &'m Mesh,
+        mesh: &Arc<Mesh>,
         part: &PartBox,
         threads: usize,
         watch: &Watch,
-    ) -> Result<Tree<'m>> {
+    ) -> Result<Tree> {
         let tree = Tree::filled(Device::new(threads)?, mesh, Quads::of(mesh), part, true)?;
         tree.commit(watch)?;
         Ok(tree)
@@ -81,11 +81,11 @@ impl<'m> Tree<'m> {
     /// A scene of the mesh, or of its triangles in pairs, that is still to be committed.
     pub(super) fn filled(
         device: Device,
-        mesh: &'m Mesh,
+        mesh: &Arc<Mesh>,
         quads: Option<Quads>,
         part: &PartBox,
         robust: bool,
-    ) -> Result<Tree<'m>> {
+    ) -> Result<Tree> {
         let vertices = mesh.positions.len();
         let mut vertex_buffer = std::ptr::null_mut();
         let (faces, indices) = match &quads {
@@ -93,7 +93,7 @@ impl<'m> Tree<'m> {
             Some(quads) => (quads.len(), quads.as_ptr()),
         };
         // SAFETY: the device is live, the out-pointer valid for the call. The tree
-        // that releases the scene keeps the mesh borrowed and the quads, so that what
+        // that releases the scene keeps the mesh and the quads, so that what
         // Embree only reads of them stays where it is.
         let scene = unsafe {
             ffi::lt_mesh_scene_new(
@@ -113,7 +113,7 @@ impl<'m> Tree<'m> {
         let tree = Tree {
             scene,
             device,
-            mesh,
+            mesh: mesh.clone(),
             quads,
         };
         // SAFETY: the scene was made, so the buffer is there: `vertices` times three
@@ -203,8 +203,8 @@ impl<'m> Tree<'m> {
         (valid, packet, advanced)
     }
 
-    pub(super) fn mesh(&self) -> &'m Mesh {
-        self.mesh
+    pub(super) fn mesh(&self) -> &Mesh {
+        &self.mesh
     }
 
     /// Calls `found` for each ray that meets the mesh, with its number, the triangle,

@@ -51,16 +51,16 @@ unsafe extern "C" fn count_memory(memory: *mut c_void, bytes: isize, _done: bool
 }
 
 /// Embree's scene of one mesh whose coordinates f32 holds.
-pub struct BareEmbree<'m> {
+pub struct BareEmbree {
     // Dropped before the memory it counts into.
-    tree: Tree<'m>,
+    tree: Tree,
     // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
     memory: Arc<Memory>,
 }
 
-impl<'m> BareEmbree<'m> {
+impl BareEmbree {
     /// Errors: what Embree reports.
-    pub fn build(mesh: &'m Mesh, robust: bool, threads: usize) -> Result<BareEmbree<'m>> {
+    pub fn build(mesh: &Arc<Mesh>, robust: bool, threads: usize) -> Result<BareEmbree> {
         let memory = Arc::new(Memory::default());
         let device = Device::new(threads)?;
         let user = Arc::as_ptr(&memory) as *mut c_void;

@@ -6,17 +6,18 @@ use crate::accel::hierarchy::tests::{rays_at, soup};
 use crate::accel::refine::refine;
 use crate::math::DVec2;
 use std::path::Path;
+use std::sync::Arc;
 
 /// A hierarchy by a device with these settings.
-fn built<'m>(settings: &str, mesh: &'m Mesh, quads: Option<Quads>, part: &PartBox) -> Tree<'m> {
+fn built(settings: &str, mesh: &Mesh, quads: Option<Quads>, part: &PartBox) -> Tree {
     let device = Device::configured(settings).unwrap();
-    let tree = Tree::filled(device, mesh, quads, part, true).unwrap();
+    let tree = Tree::filled(device, &Arc::new(mesh.clone()), quads, part, true).unwrap();
     tree.commit(&|_| Ok(())).unwrap();
     tree
 }
 
 /// The hierarchy that a larger mesh would have.
-pub fn of_quads<'m>(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
+pub fn of_quads(mesh: &Mesh, part: &PartBox) -> Tree {
     built("threads=1", mesh, Some(Quads::pair(mesh)), part)
 }
 
@@ -31,7 +32,7 @@ fn embree_writes_nothing_past_its_structs() {
     }
     let mesh = soup();
     let part = PartBox::new(mesh.bounds());
-    let tree = Tree::build(&mesh, &part, 1, &|_| Ok(())).unwrap();
+    let tree = Tree::build(&mesh.clone().into(), &part, 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, WIDTH as u64);
     let (valid, ray, _) = Tree::pack(&rays, u16::MAX, &part);
     let mut closest = Guarded {

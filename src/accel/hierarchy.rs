@@ -13,6 +13,7 @@ use crate::error::Result;
 use crate::math::{Aabb, DVec3};
 use crate::mesh::{Mesh, Watch, memory};
 use glam::Vec3;
+use std::sync::Arc;
 
 /// What finds the triangle a ray meets.
 #[derive(
@@ -205,27 +206,27 @@ pub(super) enum Side {
 #[cfg(feature = "embree")]
 const PACKETS: usize = 2;
 
-enum Tree<'m> {
+enum Tree {
     #[cfg(feature = "embree")]
-    Embree(embree::Tree<'m>),
-    Rust(rust_bvh::Tree<'m>),
+    Embree(embree::Tree),
+    Rust(rust_bvh::Tree),
 }
 
 /// Bounding-volume hierarchy over one mesh, in the mesh's own frame.
-pub(super) struct Hierarchy<'m> {
-    mesh: &'m Mesh,
+pub(super) struct Hierarchy {
+    mesh: Arc<Mesh>,
     part: PartBox,
-    tree: Tree<'m>,
+    tree: Tree,
 }
 
-impl<'m> Hierarchy<'m> {
+impl Hierarchy {
     /// See [`super::Accel::build_with`].
     pub fn build(
         backend: Backend,
-        mesh: &'m Mesh,
+        mesh: &Arc<Mesh>,
         threads: usize,
         watch: &Watch,
-    ) -> Result<Hierarchy<'m>> {
+    ) -> Result<Hierarchy> {
         let (count, bytes) = (mesh.triangles.len() as u64, backend.build_bytes());
         let work = format!("building the hierarchy over {count} triangles at {bytes} bytes each");
         memory::require(work, count * bytes, memory::available())?;
@@ -238,11 +239,15 @@ impl<'m> Hierarchy<'m> {
             Backend::Rust => Tree::Rust(rust_bvh::Tree::build(mesh, &part)),
         };
         watch(1.0)?;
-        Ok(Hierarchy { mesh, part, tree })
+        Ok(Hierarchy {
+            mesh: mesh.clone(),
+            part,
+            tree,
+        })
     }
 
-    pub fn mesh(&self) -> &'m Mesh {
-        self.mesh
+    pub fn mesh(&self) -> &Arc<Mesh> {
+        &self.mesh
     }
 
     pub fn part(&self) -> &PartBox {

@@ -7,11 +7,13 @@ use crate::error::Error;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::shapes;
 use clap::ValueEnum;
+use std::sync::Arc;
 
 /// The mesh under every backend that is built in.
-fn accels(mesh: &Mesh) -> impl Iterator<Item = Accel<'_>> {
+fn accels(mesh: &Mesh) -> impl Iterator<Item = Accel> {
+    let mesh = Arc::new(mesh.clone());
     let backends = Backend::value_variants().iter();
-    backends.map(|&backend| Accel::build_with(backend, mesh, 1, &|_| Ok(())).unwrap())
+    backends.map(move |&backend| Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap())
 }
 
 fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
@@ -166,6 +168,7 @@ fn no_ray_slips_between_triangles() {
         *p += DVec3::new(900.0, -70.0, 3.0);
     }
     let part = PartBox::new(mesh.bounds());
+    let mesh = Arc::new(mesh);
     let trees = [
         Tree::Rust(rust_bvh::Tree::build(&mesh, &part)),
         #[cfg(feature = "embree")]
@@ -173,7 +176,7 @@ fn no_ray_slips_between_triangles() {
     ];
     for tree in trees {
         slips_between_none(&Hierarchy {
-            mesh: &mesh,
+            mesh: mesh.clone(),
             part,
             tree,
         });
@@ -181,7 +184,7 @@ fn no_ray_slips_between_triangles() {
 }
 
 fn slips_between_none(hierarchy: &Hierarchy) {
-    let mesh = hierarchy.mesh;
+    let mesh = &hierarchy.mesh;
     let (center, key) = (mesh.bounds().center(), Key::new(14, Purpose::SensorNoise));
     let mut aimed = 0;
     for i in 0..45_000u64 {
@@ -272,7 +275,7 @@ fn large() -> Mesh {
 
 #[test]
 fn a_build_tells_how_far_it_is_and_ends() {
-    let mesh = large();
+    let mesh = Arc::new(large());
     let heard = std::sync::Mutex::new(Vec::new());
     for &backend in Backend::value_variants() {
         let watch = |share| {
@@ -291,7 +294,7 @@ fn a_build_tells_how_far_it_is_and_ends() {
 
 #[test]
 fn a_build_can_be_stopped() {
-    let mesh = large();
+    let mesh = Arc::new(large());
     for &backend in Backend::value_variants() {
         let watch = |share| match share > 0.3 {
             true => Err(Error::Interrupted),

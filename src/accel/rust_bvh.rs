@@ -19,12 +19,13 @@ use obvhs::bvh2::{Bvh2, DEFAULT_MAX_STACK_DEPTH};
 use obvhs::ray::RayHit;
 use rayon::prelude::*;
 use smallvec::SmallVec;
+use std::sync::Arc;
 
 /// Version of the crate; a test holds it against Cargo.lock.
 pub const OBVHS: &str = "0.4.0";
 
-pub struct Tree<'m> {
-    mesh: &'m Mesh,
+pub struct Tree {
+    mesh: Arc<Mesh>,
     bvh: Bvh2,
 }
 
@@ -93,15 +94,18 @@ pub(super) fn tree_over<const N: usize>(
 /// Bytes a triangle takes while the tree is built.
 pub(super) const BUILD: u64 = 200;
 
-impl<'m> Tree<'m> {
-    pub(super) fn build(mesh: &'m Mesh, part: &PartBox) -> Tree<'m> {
+impl Tree {
+    pub(super) fn build(mesh: &Arc<Mesh>, part: &PartBox) -> Tree {
         let corners = |i| mesh.triangle(i).map(|p| (p - part.center).as_vec3a());
         let medium = BvhBuildParams::medium_build();
         let mut bvh = tree_over(mesh.triangles.len(), corners, part, medium);
         // A stack that is too short would drop nodes without a word.
         bvh.max_depth = (bvh.depth(0) + 1).max(DEFAULT_MAX_STACK_DEPTH);
         bvh.nodes.shrink_to_fit();
-        Tree { mesh, bvh }
+        Tree {
+            mesh: mesh.clone(),
+            bvh,
+        }
     }
 
     /// Calls `found` for each ray that meets the mesh, with its number, the triangle

@@ -18,6 +18,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Poses of the target.
 pub const VIEWS: u32 = 10;
@@ -97,8 +98,9 @@ pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<Cali
     for file in [&summary_file, &calibration, &picture] {
         files::remove(file)?;
     }
-    scene.mesh = shapes::plane(DVec2::splat(4.0 * width)).expect("a field has a width");
-    scene.copies = vec![Rigid::IDENTITY];
+    let plane = shapes::plane(DVec2::splat(4.0 * width));
+    scene.mesh = Arc::new(plane.expect("a field has a width"));
+    scene.copies = [Rigid::IDENTITY].into();
     (scene.calibration, scene.scan) = (None, ScanPath::at_rest());
     for (i, target) in targets.iter().enumerate() {
         control.check()?;

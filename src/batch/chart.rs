@@ -196,7 +196,7 @@ fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
 fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
     let full = &tiers.list[0].simulation;
     let calibration = &full.calibration;
-    let scene = full.scene;
+    let scene = &full.scene;
     let middle = scene.camera.sensor.resolution.as_dvec2() / 2.0;
     let up = -scene.head_from_laser.rotation.z_axis;
     let sign = |pixel: DVec2| {

@@ -64,7 +64,7 @@ pub(super) fn forecast_of(
     preparing: f64,
     control: &Control,
 ) -> Result<Forecast> {
-    let scene = simulation.scene;
+    let scene = &simulation.scene;
     let taken = spread_frames(scene.scan.frames, FRAMES);
     let start = Instant::now();
     let (mut points, mut bytes) = (0, 0);

@@ -47,7 +47,7 @@ impl FrameContent {
 
 /// The frames of a scan in the making.
 pub struct Run<'a> {
-    pub simulation: &'a Simulation<'a>,
+    pub simulation: &'a Simulation,
     pub out: &'a Path,
     pub control: &'a Control<'a>,
     /// Frames finished so far.

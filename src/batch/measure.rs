@@ -19,11 +19,11 @@ use crate::scene::Scene;
 /// to run along the wall; of a wall within as much of the sheet that says nothing.
 const WALL: f64 = 0.15;
 
-impl Simulation<'_> {
+impl Simulation {
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..
-        } = self.scene;
+        } = &self.scene;
         PeakSettings {
             finder: measure.finder,
             choice: measure.choice,
@@ -172,7 +172,7 @@ impl Simulation<'_> {
     /// on average, a standard deviation of w/2, and seen along the same ray; and off the
     /// middle of its column's light, 1/√12 of a column if all of it is at one place.
     fn of_a_part_of_the_light(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
-        let scene = self.scene;
+        let scene = &self.scene;
         let from_laser = scene.head_from_laser.inverse().point(in_head);
         let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
         let normal = scene.head_from_laser.rotation.y_axis;

@@ -74,7 +74,7 @@ pub enum Coverage {
 }
 
 impl Coverage {
-    fn simulation<'s>(self, scene: &'s Scene, control: &Control) -> Result<Simulation<'s>> {
+    fn simulation(self, scene: &Scene, control: &Control) -> Result<Simulation> {
         let accel = control.hierarchy(scene)?;
         match self {
             Coverage::Footprint => Simulation::of_footprint(scene, accel),
@@ -94,7 +94,7 @@ pub struct Control<'a> {
 }
 
 impl Control<'_> {
-    fn hierarchy<'s>(&self, scene: &'s Scene) -> Result<Accel<'s>> {
+    fn hierarchy(&self, scene: &Scene) -> Result<Accel> {
         simulation::hierarchy(scene, &|share| {
             if let Some(building) = self.building {
                 building(share);

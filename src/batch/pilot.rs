@@ -9,7 +9,6 @@ use crate::integrator::accuracy::{Grain, Pilot, PilotPoint};
 use crate::integrator::{Plan, Sampling};
 use crate::math::DVec2;
 use crate::profile::{ErrorModel, Peak};
-use crate::scene::Scene;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -26,8 +25,8 @@ struct Strip {
 }
 
 /// Parts of frames as the full model has them.
-pub(super) struct Looked<'s> {
-    full: Simulation<'s>,
+pub(super) struct Looked {
+    full: Simulation,
     strips: Vec<Strip>,
     /// The full model's lines, strip by strip.
     truth: Vec<Vec<Peak>>,
@@ -77,9 +76,9 @@ fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
     (strips, (1.0 - looked as f64 / all.max(1.0)).max(0.0))
 }
 
-impl<'s> Looked<'s> {
+impl Looked {
     /// At about so many strips of a simulation by the full model.
-    pub fn new(full: Simulation<'s>, wanted: u32) -> Looked<'s> {
+    pub fn new(full: Simulation, wanted: u32) -> Looked {
         let (strips, left) = strips(&full, wanted);
         let truth = strips.par_iter().map(|strip| strip.peaks(&full)).collect();
         Looked {
@@ -94,10 +93,6 @@ impl<'s> Looked<'s> {
     pub fn frames(&self) -> Vec<u32> {
         let frames: BTreeSet<u32> = self.strips.iter().map(|strip| strip.frame).collect();
         frames.into_iter().collect()
-    }
-
-    pub fn scene(&self) -> &'s Scene {
-        self.full.scene
     }
 
     /// Share of the scan's lit columns that were not looked at.
@@ -129,7 +124,7 @@ impl<'s> Looked<'s> {
             samples_per_side: 4,
             ..self.full.plan.clone()
         };
-        let scene = self.full.scene;
+        let scene = &self.full.scene;
         let simulation = self.full.otherwise(calm)?;
         let lines = self.strips.par_iter().map(|strip| strip.peaks(&simulation));
         let lines: Vec<Vec<Peak>> = lines.collect();
@@ -166,7 +161,7 @@ impl<'s> Looked<'s> {
 
     /// Of lines without speckle and noise.
     fn points(&self, peaks: &[Peak]) -> Vec<PilotPoint> {
-        let scene = self.full.scene;
+        let scene = &self.full.scene;
         let speckle = error_model(scene).without_shot();
         let none = ErrorModel::new(scene.measure.finder, 0.0, None);
         let [with, without] = [speckle, none].map(|model| {

@@ -118,7 +118,7 @@ fn noise_method(plan: &Plan) -> &'static str {
 }
 
 /// The same over a hierarchy that is there.
-pub(super) fn scene_plan_with<'s>(scene: &'s Scene, accel: &Arc<Accel<'s>>) -> Result<Plan> {
+pub(super) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>) -> Result<Plan> {
     let base = plan(scene, accel);
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(told(&scene.methods, named(scene, base)));

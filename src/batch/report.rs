@@ -30,7 +30,7 @@ const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
 
 pub struct Shown<'a> {
-    pub simulation: &'a Simulation<'a>,
+    pub simulation: &'a Simulation,
     /// Those of `frames`, in order of frames, then columns.
     pub points: &'a [CloudPoint],
     pub frames: std::ops::Range<u32>,
@@ -88,7 +88,7 @@ impl Shown<'_> {
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
-        let scene = self.simulation.scene;
+        let scene = &self.simulation.scene;
         let plan = &self.simulation.plan;
         let size = self.simulation.accel.bounds().size();
         let [x, y, z] = size.to_array().map(short);
@@ -310,7 +310,7 @@ impl Shown<'_> {
     }
 
     fn setup(&self) -> Vec<(&'static str, String)> {
-        let scene = self.simulation.scene;
+        let scene = &self.simulation.scene;
         let path: Vec<DVec3> = self
             .poses
             .iter()

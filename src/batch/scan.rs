@@ -236,7 +236,7 @@ fn finish(
     (out, control): (&Path, &Control),
     run: Vec<(&'static str, String)>,
 ) -> Result<ScanSummary> {
-    let scene = simulation.scene;
+    let scene = &simulation.scene;
     let (mut points, blurred_share) = points_of(journal)?;
     simulation.compare_frames(frames.clone(), &mut points);
     let alignment = align(simulation, &mut points);

@@ -23,11 +23,11 @@ const STRIPS: [u32; 2] = [48, 192];
 const UNSURE: f64 = PROMISED_SHARE / 2.0;
 
 /// A plan that was chosen, what was found of it, and by what.
-pub(super) struct Choice<'s> {
+pub(super) struct Choice {
     pub plan: Plan,
     pub accuracy: Accuracy,
     pub pilot: Pilot,
-    pub looked: Looked<'s>,
+    pub looked: Looked,
     /// The finest plan that could have been chosen.
     pub finest: Plan,
 }
@@ -53,12 +53,12 @@ impl Goal {
 }
 
 /// Chooses for the tolerance of a scene; `base` is its plan without one.
-pub(super) fn choose<'s>(
-    scene: &'s Scene,
-    accel: &Arc<Accel<'s>>,
+pub(super) fn choose(
+    scene: &Scene,
+    accel: &Arc<Accel>,
     base: &Plan,
     tolerance_um: f64,
-) -> Result<Choice<'s>> {
+) -> Result<Choice> {
     let clusters = Arc::new(Clusters::new(&scene.mesh));
     let asked = named(scene, base.clone());
     let most = base.samples_per_side.max(asked.samples_per_side);
@@ -73,7 +73,7 @@ pub(super) fn choose<'s>(
         let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips);
         let plans = candidates(base, side / 2).into_iter();
         let plans: Vec<Plan> = plans.map(|plan| named(scene, plan)).collect();
-        let choice = among(looked, base, plans, tolerance_um)?;
+        let choice = among(scene, looked, base, plans, tolerance_um)?;
         let Accuracy {
             sufficient,
             pilot_points,
@@ -94,13 +94,13 @@ pub(super) fn choose<'s>(
 }
 
 /// Chooses among `images` and, where the scene allows it, geometry alone.
-fn among<'s>(
-    mut looked: Looked<'s>,
+fn among(
+    scene: &Scene,
+    mut looked: Looked,
     base: &Plan,
     images: Vec<Plan>,
     tolerance_um: f64,
-) -> Result<Choice<'s>> {
-    let scene = looked.scene();
+) -> Result<Choice> {
     let more = |best: &Plan, plan: &Plan| no_finer(best, plan);
     let finest = images.iter().skip(1).fold(
         &images[0],
@@ -251,7 +251,7 @@ fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 5] {
     ]
 }
 
-impl Choice<'_> {
+impl Choice {
     /// How far heights move if the finest plan is changed so: 99 of 100 points by less, µm.
     pub fn influence(&mut self, change: impl FnOnce(&mut Plan)) -> Result<Option<f64>> {
         let mut plan = self.finest.clone();

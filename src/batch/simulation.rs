@@ -24,9 +24,9 @@ use crate::speckle::lookup::Method;
 use std::ops::Range;
 use std::sync::Arc;
 
-pub struct Simulation<'s> {
-    pub scene: &'s Scene,
-    pub accel: Arc<Accel<'s>>,
+pub struct Simulation {
+    pub scene: Scene,
+    pub accel: Arc<Accel>,
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
@@ -47,23 +47,23 @@ pub struct Simulation<'s> {
 const DARK: u64 = u64::MAX;
 
 /// Builds the hierarchy a scene asks for; `watch` hears how far that is.
-pub(super) fn hierarchy<'s>(scene: &'s Scene, watch: &Watch) -> Result<Accel<'s>> {
+pub(super) fn hierarchy(scene: &Scene, watch: &Watch) -> Result<Accel> {
     let threads = rayon::current_num_threads();
-    Accel::build_with(scene.accel, &scene.mesh, threads, watch)?.with_copies(&scene.copies)
+    Accel::build_with(scene.accel, &scene.mesh, threads, watch)?.with_copies(scene.copies.clone())
 }
 
-impl<'s> Simulation<'s> {
-    pub fn new(scene: &'s Scene) -> Result<Simulation<'s>> {
+impl Simulation {
+    pub fn new(scene: &Scene) -> Result<Simulation> {
         Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
     }
 
-    pub(super) fn of_footprint(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
+    pub(super) fn of_footprint(scene: &Scene, accel: Accel) -> Result<Simulation> {
         let simulation = Simulation::of_everything(scene, accel)?;
         Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))
     }
 
     /// The same, tracing only what may see lit surface.
-    pub(super) fn with_clusters(self, clusters: Arc<Clusters>) -> Simulation<'s> {
+    pub(super) fn with_clusters(self, clusters: Arc<Clusters>) -> Simulation {
         Simulation {
             clusters: Some(clusters),
             ..self
@@ -71,33 +71,29 @@ impl<'s> Simulation<'s> {
     }
 
     /// One that traces every sample, to the same bytes.
-    pub fn exhaustive(scene: &'s Scene) -> Result<Simulation<'s>> {
+    pub fn exhaustive(scene: &Scene) -> Result<Simulation> {
         Simulation::of_everything(scene, hierarchy(scene, &|_| Ok(()))?)
     }
 
-    pub(super) fn of_everything(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
+    pub(super) fn of_everything(scene: &Scene, accel: Accel) -> Result<Simulation> {
         let accel = Arc::new(accel);
         let plan = planner::scene_plan_with(scene, &accel)?;
         Simulation::with_plan(scene, accel, plan)
     }
 
     /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
-    pub fn geometry(scene: &'s Scene) -> Result<Simulation<'s>> {
+    pub fn geometry(scene: &Scene) -> Result<Simulation> {
         let accel = hierarchy(scene, &|_| Ok(()))?;
         Simulation::of_geometry(scene, accel)
     }
 
-    pub(super) fn of_geometry(scene: &'s Scene, accel: Accel<'s>) -> Result<Simulation<'s>> {
+    pub(super) fn of_geometry(scene: &Scene, accel: Accel) -> Result<Simulation> {
         let plan = geometry_only(plan(scene, &accel));
         Simulation::with_plan(scene, Arc::new(accel), plan)
     }
 
     /// One that does what `plan` says.
-    pub(super) fn with_plan(
-        scene: &'s Scene,
-        accel: Arc<Accel<'s>>,
-        plan: Plan,
-    ) -> Result<Simulation<'s>> {
+    pub(super) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
         if !plan.geometry_only {
             forecast::require_images(scene, 1)?;
         }
@@ -114,13 +110,13 @@ impl<'s> Simulation<'s> {
 
     /// The same done by another plan; patterns of speckle are shared where both have the
     /// same.
-    pub(super) fn otherwise(&self, plan: Plan) -> Result<Simulation<'s>> {
+    pub(super) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
         let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips);
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
-            Simulation::with_patterns(self.scene, self.accel.clone(), plan, shared)
+            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared)
         } else {
-            Simulation::with_plan(self.scene, self.accel.clone(), plan)?
+            Simulation::with_plan(&self.scene, self.accel.clone(), plan)?
         };
         Ok(Simulation {
             clusters: self.clusters.clone(),
@@ -129,16 +125,16 @@ impl<'s> Simulation<'s> {
     }
 
     fn with_patterns(
-        scene: &'s Scene,
-        accel: Arc<Accel<'s>>,
+        scene: &Scene,
+        accel: Arc<Accel>,
         plan: Plan,
         speckle: Option<Arc<ScanSpeckle>>,
-    ) -> Simulation<'s> {
+    ) -> Simulation {
         let mut sensor = scene.camera.sensor.clone();
         sensor.noise = sensor.noise.filter(|_| plan.noise);
         let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
         Simulation {
-            scene,
+            scene: scene.clone(),
             accel,
             calibration: scene
                 .calibration
@@ -170,7 +166,7 @@ impl<'s> Simulation<'s> {
 
     /// The view at a place on the path, a frame number or between two.
     fn view_at(&self, place: f64) -> View<'_> {
-        let scene = self.scene;
+        let scene = &self.scene;
         let part_from_head = scene.part_from_head_at(place);
         View {
             accel: &self.accel,

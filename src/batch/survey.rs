@@ -271,7 +271,7 @@ fn fates(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> 
 /// What it takes to follow light from the part to the camera.
 struct Follow<'a> {
     scene: &'a Scene,
-    accel: &'a Accel<'a>,
+    accel: &'a Accel,
     laser_from_part: Rigid,
     camera_from_laser: Rigid,
     projector: Projector,

@@ -13,9 +13,9 @@ use crate::speckle::lookup::Method;
 use std::sync::Arc;
 
 /// One way of doing a frame.
-pub struct Tier<'s> {
+pub struct Tier {
     pub name: String,
-    pub simulation: Simulation<'s>,
+    pub simulation: Simulation,
     pub finder: PeakFinder,
     pub coverage: Coverage,
     pub accel: Backend,
@@ -31,7 +31,7 @@ pub struct TierFrame {
     pub pixels: usize,
 }
 
-impl Tier<'_> {
+impl Tier {
     pub fn frame(&self, frame: u32) -> TierFrame {
         if self.simulation.plan.geometry_only {
             return TierFrame {
@@ -57,7 +57,7 @@ impl Tier<'_> {
     /// Bytes of its hierarchy while that is built, its patterns, and a frame of so many
     /// pixels looked at.
     pub fn memory(&self, pixels: usize) -> usize {
-        let scene = self.simulation.scene;
+        let scene = &self.simulation.scene;
         let hierarchy = scene.mesh.triangles.len() * self.accel.build_bytes() as usize;
         let image = match self.simulation.plan.geometry_only {
             true => 0,
@@ -70,15 +70,15 @@ impl Tier<'_> {
 /// What tiers of a scene share.
 pub struct Tiers<'s> {
     scene: &'s Scene,
-    pub accel: Arc<Accel<'s>>,
+    pub accel: Arc<Accel>,
     clusters: Arc<Clusters>,
-    pub list: Vec<Tier<'s>>,
+    pub list: Vec<Tier>,
     /// That which the scene's runs use.
     pub chosen: usize,
 }
 
 impl<'s> Tiers<'s> {
-    fn none(scene: &'s Scene, accel: Accel<'s>) -> Tiers<'s> {
+    fn none(scene: &'s Scene, accel: Accel) -> Tiers<'s> {
         Tiers {
             scene,
             accel: Arc::new(accel),
@@ -88,7 +88,7 @@ impl<'s> Tiers<'s> {
         }
     }
 
-    fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier<'s>> {
+    fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier> {
         let full = self.list.first().map(|tier| &tier.simulation.plan);
         let other_grains = plan.speckle.is_some()
             && full.is_some_and(|full| {
@@ -111,7 +111,7 @@ impl<'s> Tiers<'s> {
     }
 
     /// All that this program can do; the full model first.
-    pub fn all(scene: &'s Scene, accel: Accel<'s>) -> Result<Tiers<'s>> {
+    pub fn all(scene: &'s Scene, accel: Accel) -> Result<Tiers<'s>> {
         let mut tiers = Tiers::none(scene, accel);
         let base = super::simulation::plan(scene, &tiers.accel);
         let n = base.samples_per_side;
@@ -248,7 +248,7 @@ impl<'s> Tiers<'s> {
         }
         let threads = rayon::current_num_threads();
         let accel = Accel::build_with(Backend::Rust, &self.scene.mesh, threads, &|_| Ok(()))?;
-        let accel = accel.with_copies(&self.scene.copies)?;
+        let accel = accel.with_copies(self.scene.copies.clone())?;
         let embree = std::mem::replace(&mut self.accel, Arc::new(accel));
         let tier = self.add("hierarchy in Rust", base.clone(), Coverage::Footprint)?;
         tier.accel = Backend::Rust;

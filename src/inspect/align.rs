@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn a_displaced_block_is_found() {
         let mesh = shapes::step_block(DVec3::new(30.0, 20.0, 8.0), 2.0).unwrap();
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let away =
             Rigid::from_euler_xyz(DVec3::new(0.01, -0.02, 0.015), DVec3::new(0.1, -0.2, 0.15));
         let points: Vec<DVec3> = spread(&mesh, 3000).iter().map(|&p| away.point(p)).collect();
@@ -206,7 +206,7 @@ mod tests {
     #[test]
     fn what_a_plane_cannot_tell_is_left_alone() {
         let mesh = shapes::plane([40.0, 40.0].into()).unwrap();
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         let away = Rigid::from_euler_xyz(DVec3::new(0.01, 0.0, 0.0), DVec3::new(0.5, 0.0, 0.2));
         let points: Vec<DVec3> = spread(&mesh, 500)
             .iter()
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn too_few_points_have_no_fit() {
         let mesh = shapes::plane([1.0, 1.0].into()).unwrap();
-        let accel = Accel::build(&mesh, 1).unwrap();
+        let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
         assert!(best_fit(&accel, &[DVec3::ZERO; 5]).is_none());
         let same = best_fit(&accel, &[DVec3::new(0.1, 0.1, 0.01); 6]).unwrap();
         assert!(same.part_from_measured.point(DVec3::X).is_finite());

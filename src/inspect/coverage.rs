@@ -44,7 +44,7 @@ pub struct HeadPose {
 
 /// A scan as coverage sees it.
 pub struct Scanned<'a> {
-    pub accel: &'a Accel<'a>,
+    pub accel: &'a Accel,
     pub laser: &'a Laser,
     pub camera: &'a Camera,
     /// Of the frames from `first_frame` on.

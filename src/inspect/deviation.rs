@@ -78,7 +78,7 @@ mod tests {
                 positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
                 triangles: vec![triangle],
             };
-            let accel = Accel::build(&mesh, 1).unwrap();
+            let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
             let above = DVec3::new(0.2, 0.2, 0.01);
             let eye = DVec3::new(0.0, 0.0, 50.0);
             let (distance, normal) = signed_distance(&accel, above, eye, &mut None);

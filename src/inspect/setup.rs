@@ -13,7 +13,7 @@ use std::fmt::Write;
 
 /// What is drawn, all in the part's frame.
 pub struct Setup<'a> {
-    pub accel: &'a Accel<'a>,
+    pub accel: &'a Accel,
     pub laser: &'a Laser,
     pub camera: &'a Camera,
     /// Where the head is drawn.

@@ -22,7 +22,7 @@ use std::ops::Range;
 
 /// Everything one frame depends on, in the part's frame.
 pub struct View<'a> {
-    pub accel: &'a Accel<'a>,
+    pub accel: &'a Accel,
     pub surface: Lambert,
     pub laser: &'a Laser,
     pub part_from_laser: Rigid,

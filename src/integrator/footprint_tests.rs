@@ -13,7 +13,7 @@ const ROWS: u32 = 600;
 /// The footprint on `mesh`, whose top is about z = 0: laser straight
 /// above with its line along x, camera 30° before it, 0.05 mm a pixel.
 fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
-    let accel = crate::accel::Accel::build(mesh, 1).unwrap();
+    let accel = crate::accel::Accel::build(&mesh.clone().into(), 1).unwrap();
     let mut camera = crate::camera::fixture();
     camera.sensor.resolution = UVec2::new(COLUMNS, ROWS);
     camera.sensor.pixel_pitch = 0.05 * 25.0 / 215.0;

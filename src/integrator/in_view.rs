@@ -163,7 +163,7 @@ fn region(optics: &Optics, margin: f64) -> Vec<HalfSpace> {
 
 struct Tracer<'a> {
     optics: &'a Optics<'a>,
-    accel: &'a Accel<'a>,
+    accel: &'a Accel,
     laser_from_camera: Rigid,
     projector: Projector,
     /// Of the fan where the sensor may see it, rad.

@@ -4,6 +4,7 @@
 use super::racers;
 use crate::error::Result;
 use crate::mesh::Mesh;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Meshes of fewer triangles are built in less time than a forecast takes.
@@ -19,7 +20,7 @@ pub fn builds(mesh: &Mesh, limit: f64, step: &dyn Fn() -> Result<()>) -> Result<
     if mesh.triangles.len() < SMALL {
         return Ok(vec![0.0; entrants.len()]);
     }
-    let parts = STEPS.map(|every| part(mesh, every));
+    let parts = STEPS.map(|every| Arc::new(part(mesh, every)));
     let mut forecasts = Vec::new();
     for entrant in entrants {
         let mut times = Vec::new();

@@ -25,6 +25,7 @@ use racers::{Entrant, Racer};
 use rayon::prelude::*;
 use rays::RaySet;
 use serde::Serialize;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Counts what Rust allocates.
@@ -130,8 +131,8 @@ const MOST_CHECKED: usize = 4096;
 const LEAST_CHECKED: usize = 16;
 
 /// What all racers are asked and judged by.
-struct Course<'m> {
-    mesh: &'m Mesh,
+struct Course {
+    mesh: Arc<Mesh>,
     effort: Effort,
     sets: [RaySet; 4],
     /// Of the first set, of the second, …
@@ -151,7 +152,7 @@ pub fn race(
     forecast: &dyn Fn(f64),
     step: &dyn Fn() -> Result<()>,
 ) -> Result<Race> {
-    let mesh = &centred(mesh);
+    let mesh = &Arc::new(centred(mesh));
     let builds = forecast::builds(mesh, effort.seconds, step)?;
     forecast(longest(&builds, effort));
     let course = Course::new(mesh, effort)?;
@@ -196,8 +197,8 @@ fn longest(builds: &[f64], effort: Effort) -> f64 {
     builds.iter().map(racer).sum::<f64>() + tree
 }
 
-impl<'m> Course<'m> {
-    fn new(mesh: &'m Mesh, effort: Effort) -> Result<Course<'m>> {
+impl Course {
+    fn new(mesh: &Arc<Mesh>, effort: Effort) -> Result<Course> {
         let threads = rayon::current_num_threads();
         let reference = Accel::build_with(Backend::Rust, mesh, threads, &|_| Ok(()))?;
         let sets = rays::sets(&reference, effort.rays);
@@ -205,7 +206,7 @@ impl<'m> Course<'m> {
         let checked = BRUTE_TESTS / sets.len() / mesh.triangles.len();
         let checked = checked.clamp(LEAST_CHECKED, MOST_CHECKED);
         Ok(Course {
-            mesh,
+            mesh: mesh.clone(),
             effort,
             truth: sets.iter().map(|set| truth(mesh, set, checked)).collect(),
             sets,
@@ -287,11 +288,11 @@ impl RacerRun {
         Ok(())
     }
 
-    fn built<'m>(&mut self, course: &Course<'m>) -> Result<Box<dyn Racer + 'm>> {
+    fn built(&mut self, course: &Course) -> Result<Box<dyn Racer>> {
         let before = MEMORY.current_usage();
         MEMORY.reset_peak_usage();
         let start = Instant::now();
-        let racer = (self.entrant.build)(course.mesh)?;
+        let racer = (self.entrant.build)(&course.mesh)?;
         let seconds = start.elapsed().as_secs_f64();
         let rust = [MEMORY.current_usage(), MEMORY.peak_usage()];
         let rust = rust.map(|bytes| bytes.saturating_sub(before));

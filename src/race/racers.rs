@@ -17,6 +17,7 @@ use obvhs::ray::RayHit;
 use obvhs::triangle::Triangle;
 use parry3d::query::RayCast;
 use parry3d::shape::{CompositeShapeRef, TriMesh};
+use std::sync::Arc;
 
 /// Something that answers rays; as many answers as rays.
 pub trait Racer: Sync {
@@ -32,7 +33,7 @@ pub trait Racer: Sync {
 pub struct Entrant {
     pub name: &'static str,
     pub version: String,
-    pub build: fn(&Mesh) -> Result<Box<dyn Racer + '_>>,
+    pub build: fn(&Arc<Mesh>) -> Result<Box<dyn Racer>>,
 }
 
 /// How many race.
@@ -77,21 +78,21 @@ pub fn entrants() -> [Entrant; RACERS] {
 }
 
 /// One ray at a time.
-struct Single<'m>(BareEmbree<'m>);
+struct Single(BareEmbree);
 /// Sixteen.
-struct Packets<'m>(BareEmbree<'m>);
+struct Packets(BareEmbree);
 
-fn single_embree(mesh: &Mesh, robust: bool) -> Result<Box<dyn Racer + '_>> {
+fn single_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn Racer>> {
     let scene = BareEmbree::build(mesh, robust, rayon::current_num_threads())?;
     Ok(Box::new(Single(scene)))
 }
 
-fn packet_embree(mesh: &Mesh, robust: bool) -> Result<Box<dyn Racer + '_>> {
+fn packet_embree(mesh: &Arc<Mesh>, robust: bool) -> Result<Box<dyn Racer>> {
     let scene = BareEmbree::build(mesh, robust, rayon::current_num_threads())?;
     Ok(Box::new(Packets(scene)))
 }
 
-impl Racer for Single<'_> {
+impl Racer for Single {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (ray, hit) in rays.iter().zip(hits) {
             *hit = self.0.closest(ray);
@@ -109,7 +110,7 @@ impl Racer for Single<'_> {
     }
 }
 
-impl Racer for Packets<'_> {
+impl Racer for Packets {
     fn closest(&self, rays: &[FlatRay], coherent: bool, hits: &mut [FlatHit]) {
         for (rays, hits) in rays.chunks(WIDTH).zip(hits.chunks_mut(WIDTH)) {
             self.0.closest16(rays, coherent, hits);
@@ -128,9 +129,9 @@ impl Racer for Packets<'_> {
 }
 
 /// What the program itself uses, with rays and hits in f64.
-struct Ours<'m>(Accel<'m>, Backend);
+struct Ours(Accel, Backend);
 
-fn ours(mesh: &Mesh, backend: Backend) -> Result<Box<dyn Racer + '_>> {
+fn ours(mesh: &Arc<Mesh>, backend: Backend) -> Result<Box<dyn Racer>> {
     let threads = rayon::current_num_threads();
     let accel = Accel::build_with(backend, mesh, threads, &|_| Ok(()))?;
     Ok(Box::new(Ours(accel, backend)))
@@ -140,7 +141,7 @@ fn packet(rays: &[FlatRay]) -> [crate::accel::Ray; WIDTH] {
     std::array::from_fn(|i| exact(&rays[i.min(rays.len() - 1)]))
 }
 
-impl Racer for Ours<'_> {
+impl Racer for Ours {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         for (rays, hits) in rays.chunks(WIDTH).zip(hits.chunks_mut(WIDTH)) {
             let found = self.0.closest(&packet(rays)[..rays.len()], |_, _| true);

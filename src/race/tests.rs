@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::mesh::shapes;
+use std::sync::Arc;
 
 const EFFORT: Effort = Effort {
     rays: 4000,
@@ -49,7 +50,7 @@ fn misses_and_wrong_answers_are_counted() {
     let asked = aimed.edges.missed_by(&Blind, 1e-3, later);
     let all = aimed.edges.rays.len();
     assert_eq!((asked.rays, asked.missed), (all, all));
-    let accel = Accel::build(&mesh, 1).unwrap();
+    let accel = Accel::build(&mesh.clone().into(), 1).unwrap();
     let [camera, ..] = rays::sets(&accel, 900);
     let truth = truth(&mesh, &camera, 900);
     let hits = truth.iter().filter(|(_, t)| t.is_some()).count();
@@ -80,7 +81,7 @@ fn who_runs_out_of_time_is_reported() {
         rounds: 2,
         seconds: 50.0,
     };
-    let centred = centred(&mesh);
+    let centred = Arc::new(centred(&mesh));
     let course = Course::new(&centred, effort).unwrap();
     for run in &mut runs {
         run.round(&course).unwrap();

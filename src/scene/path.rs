@@ -9,6 +9,7 @@ use glam::DQuat;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The way of the moving body through the world: in frame k it stands at
 /// motion(k) · its pose at rest.
@@ -44,7 +45,7 @@ pub enum Motion {
         file: PathBuf,
         /// One a frame: too many to print.
         #[serde(skip)]
-        poses: Vec<Rigid>,
+        poses: Arc<[Rigid]>,
     },
 }
 
@@ -161,6 +162,7 @@ impl Resolver<'_> {
                 )?;
                 let (file, poses, hash) = self.poses(file, "scan.poses")?;
                 let frames = poses.len() as u32;
+                let poses = poses.into();
                 (Motion::Poses { file, poses }, frames, hash)
             }
             (Some(_), Some(_)) => {
@@ -318,7 +320,7 @@ mod tests {
         let pose = |angle, x| Rigid::from_euler_xyz(DVec3::Z * angle, DVec3::new(x, 0.0, 0.0));
         let list = |poses: Vec<Rigid>| Motion::Poses {
             file: PathBuf::new(),
-            poses,
+            poses: poses.into(),
         };
         let motion = list(vec![pose(0.0, 0.0), pose(0.2, 1.0), pose(0.2, 5.0)]);
         assert_eq!(motion.at(0.0), pose(0.0, 0.0));

@@ -19,6 +19,7 @@ use crate::surface::Lambert;
 use sha2::{Digest, Sha256};
 use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How speckle is modelled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -38,7 +39,7 @@ pub struct Measure {
 }
 
 /// A validated scene: the world at rest and the head's way through it.
-#[derive(serde::Serialize)]
+#[derive(Clone, serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
@@ -56,13 +57,13 @@ pub struct Scene {
     /// The part in words: the mesh file and its unit, or the shape and its size.
     pub part: String,
     #[serde(skip)]
-    pub mesh: Mesh,
+    pub mesh: Arc<Mesh>,
     /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
     pub mesh_unit: Option<Unit>,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
     /// as their number.
     #[serde(serialize_with = "number")]
-    pub copies: Vec<Rigid>,
+    pub copies: Arc<[Rigid]>,
     pub surface: Lambert,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
@@ -220,9 +221,9 @@ impl Resolver<'_> {
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
             part,
-            mesh,
+            mesh: Arc::new(mesh),
             mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
-            copies,
+            copies: copies.into(),
             surface: Lambert { reflectance },
             part_at_rest,
             laser,
