@@ -94,6 +94,12 @@ pub enum Error {
     /// Embree failed.
     #[error("Embree: {0}")]
     Embree(String),
+    /// A journal to be resumed is of another run.
+    #[error("{} is of another run: {difference}", path(journal))]
+    OtherRun {
+        journal: PathBuf,
+        difference: String,
+    },
     /// The machine has too little memory.
     #[error(
         "{work} takes {:.2} GB, and {:.2} GB of memory are free: make it smaller, take fewer \
@@ -143,7 +149,7 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         use std::io::ErrorKind::{FileTooLarge, OutOfMemory, QuotaExceeded, StorageFull};
         match self {
-            Error::Usage(_) => 64,
+            Error::Usage(_) | Error::OtherRun { .. } => 64,
             Error::Input(_) | Error::Warned(_) => 65,
             Error::Embree(_) => 70,
             Error::Io { source, .. } => match source.kind() {

@@ -30,6 +30,7 @@
 pub mod accel;
 pub mod batch;
 pub mod camera;
+#[cfg(feature = "cli")]
 pub mod cli;
 pub mod error;
 pub mod inspect;

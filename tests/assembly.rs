@@ -5,7 +5,6 @@
 mod flattened;
 mod program;
 
-use clap::ValueEnum;
 use flattened::flattened;
 use lasertrace::accel::Backend;
 use lasertrace::batch::Simulation;
@@ -55,7 +54,7 @@ const FRAMES: [u32; 5] = [25, 70, 110, 150, 195];
 /// pixels in a frame would be a defect.
 #[test]
 fn images_are_those_of_the_flattened_mesh() {
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let scenes = scenes(backend);
         let [copies, flat] = [0, 1].map(|i| Simulation::new(&scenes[i]).unwrap());
         let alone = Scene {
@@ -119,7 +118,7 @@ fn a_copy_shades_another() {
 /// be left to either.
 #[test]
 fn profiles_without_an_image_are_those_of_the_flattened_mesh() {
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let scenes = scenes(backend);
         let [copies, flat] = [0, 1].map(|i| Simulation::geometry(&scenes[i]).unwrap());
         for frame in FRAMES {
@@ -149,7 +148,7 @@ fn profiles_without_an_image_are_those_of_the_flattened_mesh() {
 /// is a thousand roundings of 100 mm.
 #[test]
 fn deviations_are_from_the_whole_assembly() {
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let scenes = scenes(backend);
         let [copies, flat] = [0, 1].map(|i| Simulation::new(&scenes[i]).unwrap());
         let (mut points, mut apart) = (0, 0);

@@ -2,7 +2,6 @@
 
 mod random;
 
-use clap::ValueEnum;
 use lasertrace::accel::{Accel, Backend, Hit, Ray, WIDTH};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::shapes;
@@ -51,7 +50,7 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
             endless(random.direction() * 30.0, target)
         })
         .collect();
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let [with, without] = [&mesh, &sound]
             .map(|mesh| Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap());
         // Other corners make another box, and its f32 another side of the horizon.

@@ -4,7 +4,6 @@
 
 mod random;
 
-use clap::ValueEnum;
 use lasertrace::accel::{Accel, Backend, Hit, Ray, WIDTH};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
@@ -52,7 +51,7 @@ fn residual(mesh: &Mesh, ray: &Ray, hit: &Hit) -> f64 {
 #[test]
 fn a_far_off_part_is_met_as_exactly_as_its_pose_can_say() {
     let mesh = shapes::sphere(0.5, 1e-4).unwrap();
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let accel = Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap();
         let mut random = Random::new(1);
         for sizes in [1.0, 1e2, 1e4, 1e6] {

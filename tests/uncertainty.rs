@@ -318,6 +318,6 @@ fn the_monte_carlo_command_compares_scatter_with_prediction() {
         folder.path(),
         &["uncertainty", "scene.toml", "-o", "out", "--frame", "3"],
         64,
-        &["--frame 3", "frames 0 to 2"],
+        &["frame 3", "frames 0 to 2"],
     );
 }

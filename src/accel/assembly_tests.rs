@@ -6,7 +6,6 @@ use super::super::hierarchy::tests::{rays_at, soup};
 use super::*;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::shapes;
-use clap::ValueEnum;
 use std::sync::Arc;
 
 fn uniform(key: Key, i: u64, low: f64, high: f64) -> DVec3 {
@@ -51,7 +50,7 @@ fn flattened(mesh: &Mesh, poses: &[Rigid]) -> Mesh {
 /// The assembly under every backend that is built in.
 fn accels(mesh: &Mesh, poses: &[Rigid]) -> impl Iterator<Item = Accel> {
     let mesh = Arc::new(mesh.clone());
-    Backend::value_variants().iter().map(move |&backend| {
+    Backend::ALL.iter().map(move |&backend| {
         let accel = Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap();
         accel.with_copies(poses).unwrap()
     })

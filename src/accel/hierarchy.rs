@@ -26,8 +26,8 @@ use std::sync::Arc;
     serde::Serialize,
     serde::Deserialize,
     schemars::JsonSchema,
-    clap::ValueEnum,
 )]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
     /// Embree, in f32
@@ -40,6 +40,13 @@ pub enum Backend {
 }
 
 impl Backend {
+    /// Those that are built in.
+    pub const ALL: &[Backend] = &[
+        #[cfg(feature = "embree")]
+        Backend::Embree,
+        Backend::Rust,
+    ];
+
     /// Most memory a triangle takes while the hierarchy is built, bytes.
     pub fn build_bytes(self) -> u64 {
         match self {

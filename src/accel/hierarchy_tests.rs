@@ -6,13 +6,12 @@ use super::*;
 use crate::error::Error;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::shapes;
-use clap::ValueEnum;
 use std::sync::Arc;
 
 /// The mesh under every backend that is built in.
 fn accels(mesh: &Mesh) -> impl Iterator<Item = Accel> {
     let mesh = Arc::new(mesh.clone());
-    let backends = Backend::value_variants().iter();
+    let backends = Backend::ALL.iter();
     backends.map(move |&backend| Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap())
 }
 
@@ -277,7 +276,7 @@ fn large() -> Mesh {
 fn a_build_tells_how_far_it_is_and_ends() {
     let mesh = Arc::new(large());
     let heard = std::sync::Mutex::new(Vec::new());
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let watch = |share| {
             heard.lock().unwrap().push(share);
             Ok(())
@@ -295,7 +294,7 @@ fn a_build_tells_how_far_it_is_and_ends() {
 #[test]
 fn a_build_can_be_stopped() {
     let mesh = Arc::new(large());
-    for &backend in Backend::value_variants() {
+    for &backend in Backend::ALL {
         let watch = |share| match share > 0.3 {
             true => Err(Error::Interrupted),
             false => Ok(()),

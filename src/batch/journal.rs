@@ -59,7 +59,7 @@ impl RunKey {
             () if old.seed != self.seed => differ("seed", &old.seed, &self.seed),
             () if old.frames != self.frames => differ("frames", &old.frames, &self.frames),
             () if old.geometry_only != self.geometry_only => {
-                differ("--geometry-only", &old.geometry_only, &self.geometry_only)
+                differ("geometry alone", &old.geometry_only, &self.geometry_only)
             }
             () => None,
         }
@@ -133,11 +133,10 @@ impl Journal {
             return Ok(0);
         };
         if let Some(difference) = key.difference(&old) {
-            return Err(Error::Usage(format!(
-                "--resume: {} is of another run: {difference}; without --resume the scan \
-                 starts anew and replaces it",
-                self.path.display()
-            )));
+            return Err(Error::OtherRun {
+                journal: self.path.clone(),
+                difference,
+            });
         }
         let mut end = reader.at;
         while let Some(content) = reader.next().map_err(failed())? {
@@ -368,7 +367,6 @@ mod tests {
             (other(|k| k.frames = 3..9), "frames was 3..8 and is 3..9"),
         ] {
             assert!(message.contains(words), "{message}");
-            assert!(message.contains("without --resume"), "{message}");
         }
         let left = fs::read(folder.path().join("frames.journal")).unwrap();
         assert_eq!(left, whole, "a refusal changes nothing");

@@ -117,7 +117,7 @@ fn check_frames(scene: &Scene, frames: &Range<u32>) -> Result<()> {
         return Ok(());
     }
     Err(Error::Usage(format!(
-        "--frames {}..{}: expected A..B with A < B, B at most {}, the number of frames of {}",
+        "frames {}..{}: expected A..B with A < B, B at most {}, the number of frames of {}",
         frames.start,
         frames.end,
         scene.scan.frames,
@@ -131,7 +131,7 @@ fn check_frame(scene: &Scene, frame: u32) -> Result<()> {
         return Ok(());
     }
     Err(Error::Usage(format!(
-        "--frame {frame}: the scan of {} has frames 0 to {}",
+        "frame {frame}: the scan of {} has frames 0 to {}",
         scene.path.display(),
         scene.scan.frames - 1
     )))

@@ -342,7 +342,7 @@ fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
     };
     let path = scene.path.display();
     Err(Error::Usage(format!(
-        "--geometry-only on {path}: expected {needs}"
+        "geometry alone on {path}: expected {needs}"
     )))
 }
 

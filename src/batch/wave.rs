@@ -140,12 +140,12 @@ pub fn wave_patch(patch: &WavePatch, out: &Path, control: &Control) -> Result<Wa
     control.check()?;
     let samples = pupil_samples(patch.image.window / patch.image.grain);
     let sampled = AtomicU64::new(0);
-    let image = patch.image.take(patch.scene, seed, &|| {
+    let image = patch.image.take(&patch.scene, seed, &|| {
         let share = sampled.fetch_add(1, Relaxed) as f64 / samples;
         told(done + patch.terms[3] * share.min(1.0));
     })?;
     control.check()?;
-    let scene = patch.scene;
+    let scene = &patch.scene;
     let grains = grain_lengths(
         &grains_at(scene, &patch.image.view),
         scene.camera.lens.pupil_diameter(),
@@ -273,7 +273,7 @@ fn patch_view(scene: &Scene, frame: u32, control: &Control) -> Result<SurfaceVie
     };
     let hit = accel.closest(&[ray], |_, _| true)[0].ok_or_else(|| {
         Error::Usage(format!(
-            "--frame {frame}: the axis of the laser meets no surface there"
+            "frame {frame}: the axis of the laser meets no surface there"
         ))
     })?;
     let head_from_part = scene.part_from_head(frame).inverse();
@@ -353,8 +353,8 @@ impl LineImage {
 }
 
 /// What a patch of a scene asks of the wave-optics reference.
-pub struct WavePatch<'s> {
-    scene: &'s Scene,
+pub struct WavePatch {
+    scene: Scene,
     cases: [MotionCase; 3],
     sampling: WaveSampling,
     image: LineImage,
@@ -362,18 +362,18 @@ pub struct WavePatch<'s> {
     terms: [f64; 4],
 }
 
-impl<'s> WavePatch<'s> {
+impl WavePatch {
     /// The patch on which the laser's axis falls in a frame.
     ///
     /// # Errors
     /// A frame that the scan does not have; no surface there; [`Error::Usage`] for a
     /// patch of more than [`MOST_TERMS`] terms.
     pub fn new(
-        scene: &'s Scene,
+        scene: &Scene,
         frame: u32,
         effort: WaveEffort,
         control: &Control,
-    ) -> Result<WavePatch<'s>> {
+    ) -> Result<WavePatch> {
         super::check_frame(scene, frame)?;
         let view = patch_view(scene, frame, control)?;
         let cases = [1.0, 2.0, 4.0].map(|steps| MotionCase {
@@ -395,7 +395,7 @@ impl<'s> WavePatch<'s> {
         let all: f64 = terms.iter().sum();
         if all <= MOST_TERMS {
             return Ok(WavePatch {
-                scene,
+                scene: scene.clone(),
                 cases,
                 sampling,
                 image,

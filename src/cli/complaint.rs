@@ -47,6 +47,7 @@ impl Complaints {
              --resume it starts anew and replaces them all"
             }
             Error::Interrupted => "; run the same command again: it starts anew",
+            Error::OtherRun { .. } => "; without --resume the scan starts anew and replaces it",
             _ => "",
         };
         let message = format!("{error}{next}");

@@ -28,9 +28,8 @@ use serde::Serialize;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Counts what Rust allocates.
-#[global_allocator]
-static MEMORY: PeakAlloc = PeakAlloc;
+/// What Rust allocates, where the program counts it: `PeakAlloc` is its global allocator.
+const MEMORY: PeakAlloc = PeakAlloc;
 
 /// How much is measured.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -297,7 +296,7 @@ impl RacerRun {
         let rust = [MEMORY.current_usage(), MEMORY.peak_usage()];
         let rust = rust.map(|bytes| bytes.saturating_sub(before));
         if self.builds.is_empty() {
-            let foreign = racer.foreign_bytes();
+            let foreign = racer.foreign_bytes().filter(|_| before > 0);
             self.bytes = foreign.map(|foreign| [rust[0] + foreign[0], rust[1] + foreign[1]]);
         }
         self.builds.push(seconds);

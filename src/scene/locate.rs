@@ -48,7 +48,8 @@ impl Source {
         Source::parse(path, text)
     }
 
-    fn parse(file: &Path, text: String) -> Result<Source, Error> {
+    /// Errors: text that is not TOML.
+    pub fn parse(file: &Path, text: String) -> Result<Source, Error> {
         let mut source = Source {
             file: file.to_owned(),
             text,

@@ -38,7 +38,8 @@ pub struct Measure {
     pub align: bool,
 }
 
-/// A validated scene: the world at rest and the head's way through it.
+/// A validated scene: the world at rest and the head's way through it. Cheap to clone:
+/// mesh, copies and poses are shared.
 #[derive(Clone, serde::Serialize)]
 pub struct Scene {
     pub path: PathBuf,
@@ -78,14 +79,26 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Reads and validates a scene file and the mesh it names.
+    /// Reads and validates a scene file and the files it names. Errors: a file that cannot
+    /// be read; a mistake in one, with its place.
     pub fn load(path: &Path) -> Result<Scene> {
         Scene::load_watched(path, &|_| Ok(()))
     }
 
     /// The same; `watch` hears how much of the mesh is read.
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
-        let source = Source::read(path)?;
+        Scene::resolved(Source::read(path)?, path, watch)
+    }
+
+    /// The same of a scene given as text (TOML), whose files are sought in `folder`.
+    /// Messages call it `scene text` there.
+    pub fn parse(text: &str, folder: &Path) -> Result<Scene> {
+        let path = folder.join("scene text");
+        let source = Source::parse(&path, text.to_owned())?;
+        Scene::resolved(source, &path, &|_| Ok(()))
+    }
+
+    fn resolved(source: Source, path: &Path, watch: &Watch) -> Result<Scene> {
         let file: SceneFile =
             toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
         let resolver = Resolver {

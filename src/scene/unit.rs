@@ -3,19 +3,20 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize, JsonSchema, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Unit {
     #[serde(rename = "um")]
-    #[value(name = "um")]
+    #[cfg_attr(feature = "cli", value(name = "um"))]
     Micrometre,
     #[serde(rename = "mm")]
-    #[value(name = "mm")]
+    #[cfg_attr(feature = "cli", value(name = "mm"))]
     Millimetre,
     #[serde(rename = "cm")]
-    #[value(name = "cm")]
+    #[cfg_attr(feature = "cli", value(name = "cm"))]
     Centimetre,
     #[serde(rename = "m")]
-    #[value(name = "m")]
+    #[cfg_attr(feature = "cli", value(name = "m"))]
     Metre,
     #[serde(rename = "inch")]
     Inch,
