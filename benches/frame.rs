@@ -4,8 +4,8 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
 use lasertrace::batch::Simulation;
+use lasertrace::frame::{Irradiance, Region, irradiance};
 use lasertrace::inspect::picture::encode_counts;
-use lasertrace::integrator::{Irradiance, footprint_image};
 use lasertrace::scene::Scene;
 use std::path::Path;
 use std::time::Instant;
@@ -24,28 +24,26 @@ fn stages(c: &mut Criterion) {
     let mut plain = simulation.view(FRAME);
     plain.speckle = None;
 
-    let irradiance = footprint_image(&speckled, &clusters);
-    let counts = simulation.counts(FRAME, &irradiance);
+    let image = irradiance(&speckled, &Region::Lit(&clusters));
+    let counts = simulation.counts(FRAME, &image);
     let columns = scene.camera.sensor.resolution.x as usize;
     let (_, points) = simulation.measure(FRAME, &counts);
-    assert_eq!(irradiance, simulation.irradiance(FRAME));
+    assert_eq!(image, simulation.irradiance(FRAME));
     assert!(points.len() > columns / 2, "{} points", points.len());
     // Speckle has mean 1 over ~3000 grains of the line: 5 standard deviations.
     let light = |image: &Irradiance| image.dense().iter().map(|&e| e as f64).sum::<f64>();
-    let ratio = light(&irradiance) / light(&footprint_image(&plain, &clusters));
+    let ratio = light(&image) / light(&irradiance(&plain, &Region::Lit(&clusters)));
     assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
 
     let mut group = c.benchmark_group("frame");
     group.sample_size(30);
     group.bench_function("light without speckle", |b| {
-        b.iter(|| footprint_image(&plain, &clusters))
+        b.iter(|| irradiance(&plain, &Region::Lit(&clusters)))
     });
     group.bench_function("light with speckle", |b| {
-        b.iter(|| footprint_image(&speckled, &clusters))
+        b.iter(|| irradiance(&speckled, &Region::Lit(&clusters)))
     });
-    group.bench_function("counts", |b| {
-        b.iter(|| simulation.counts(FRAME, &irradiance))
-    });
+    group.bench_function("counts", |b| b.iter(|| simulation.counts(FRAME, &image)));
     group.bench_function("peaks, points, deviation", |b| {
         b.iter(|| simulation.measure(FRAME, &counts))
     });
@@ -53,7 +51,7 @@ fn stages(c: &mut Criterion) {
     group.finish();
     let frame = |view| {
         let start = Instant::now();
-        let counts = simulation.counts(FRAME, &footprint_image(view, &clusters));
+        let counts = simulation.counts(FRAME, &irradiance(view, &Region::Lit(&clusters)));
         simulation.measure(FRAME, &counts);
         start.elapsed().as_secs_f64()
     };

@@ -13,7 +13,7 @@ mod waves;
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
 use lasertrace::batch::Simulation;
-use lasertrace::integrator::{Sampling, Sheet, footprint_image, irradiance_image};
+use lasertrace::frame::{Grid, Region, Sampling, Sheet, irradiance};
 use lasertrace::scene::Scene;
 use pairs::{print_ratio, seconds};
 use rayon::ThreadPoolBuilder;
@@ -24,7 +24,7 @@ const SENSOR: [usize; 2] = [2048, 1088];
 
 /// A frame as a scan takes it, but for its files: number of points.
 fn frame(simulation: &Simulation, frame: u32) -> usize {
-    let counts = simulation.counts(frame, &simulation.irradiance(frame));
+    let counts = simulation.image(frame);
     simulation.measure(frame, &counts).1.len()
 }
 
@@ -68,13 +68,15 @@ fn throughput(c: &mut Criterion) {
     let simulation = &simulations[1];
     let clusters = Clusters::new(&simulation.scene.mesh);
     let view = simulation.view(480);
-    let light = footprint_image(&view, &clusters);
+    let light = irradiance(&view, &Region::Lit(&clusters));
     let counts = simulation.counts(480, &light);
-    group.bench_function("light", |b| b.iter(|| footprint_image(&view, &clusters)));
+    group.bench_function("light", |b| {
+        b.iter(|| irradiance(&view, &Region::Lit(&clusters)))
+    });
     let mut dull = simulation.view(480);
     dull.speckle = None;
     group.bench_function("light without speckle", |b| {
-        b.iter(|| footprint_image(&dull, &clusters))
+        b.iter(|| irradiance(&dull, &Region::Lit(&clusters)))
     });
     group.bench_function("counts", |b| b.iter(|| simulation.counts(480, &light)));
     group.bench_function("peaks", |b| b.iter(|| simulation.peaks(&counts)));
@@ -98,7 +100,7 @@ fn throughput(c: &mut Criterion) {
 /// The footprint against every pixel, and against a ray for every sample of them.
 fn against_all(simulation: &Simulation, clusters: &Clusters) {
     let view = simulation.view(480);
-    let light = footprint_image(&view, clusters);
+    let light = irradiance(&view, &Region::Lit(clusters));
     for (name, sampling) in [
         ("every pixel / footprint", Sampling::Planes),
         ("every sample / footprint", Sampling::Rays),
@@ -106,10 +108,11 @@ fn against_all(simulation: &Simulation, clusters: &Clusters) {
         let mut all = simulation.view(480);
         all.sampling = sampling;
         if sampling == view.sampling {
-            assert_eq!(irradiance_image(&all).dense(), light.dense());
+            assert_eq!(irradiance(&all, &Region::All).dense(), light.dense());
         }
         print_ratio(name, 3, |_| {
-            seconds(|| irradiance_image(&all)) / seconds(|| footprint_image(&view, clusters))
+            seconds(|| irradiance(&all, &Region::All))
+                / seconds(|| irradiance(&view, &Region::Lit(clusters)))
         });
     }
 }
@@ -143,7 +146,7 @@ mod bare {
 
     pub fn against_integrator(simulation: &Simulation) {
         let mut view = simulation.view(480);
-        (view.samples_per_side, view.speckle) = (1, None);
+        (view.grid, view.speckle) = (Grid::Gauss { per_side: 1 }, None);
         let mesh = &simulation.scene.mesh;
         let embree = BareEmbree::build(mesh, true, 1).unwrap();
         let eye = view.part_from_camera.translation;
@@ -165,7 +168,7 @@ mod bare {
         };
         print_ratio("rays a second, integrator / bare Embree", 5, |_| {
             let bare = seconds(&mut trace);
-            let whole = seconds(|| irradiance_image(&view));
+            let whole = seconds(|| irradiance(&view, &Region::All));
             let rate = rays.len() as f64 / whole * 1e-6;
             println!("integrator: {rate:.2} Mrays/s");
             bare / whole

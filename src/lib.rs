@@ -33,6 +33,7 @@ pub mod camera;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod error;
+pub mod frame;
 pub mod inspect;
 pub mod integrator;
 pub mod laser;

@@ -83,8 +83,8 @@ fn row(number: &str, kept: &Kept) -> String {
             "{} {}{}{} {:.2} w",
             plan.samples_per_side,
             match plan.sampling {
-                lasertrace::integrator::Sampling::Planes => "planes",
-                lasertrace::integrator::Sampling::Rays => "rays",
+                lasertrace::frame::Sampling::Planes => "planes",
+                lasertrace::frame::Sampling::Rays => "rays",
             },
             if plan.speckle.is_some() {
                 " speckle"

@@ -299,7 +299,7 @@ fn the_scene_of_balls_gives_what_its_readme_says() {
     assert_eq!(scene.copies.len(), 1024);
     let simulation = Simulation::new(&scene).unwrap();
     let points = (200..225).flat_map(|frame| {
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         simulation.measure(frame, &counts).1
     });
     let points: Vec<_> = points.collect();

@@ -13,7 +13,7 @@ fn covered(scene: &Scene, kept: impl Fn(u32) -> bool) -> SurfaceCoverage {
     let points: Vec<_> = frames
         .clone()
         .flat_map(|frame| {
-            let counts = simulation.counts(frame, &simulation.irradiance(frame));
+            let counts = simulation.image(frame);
             simulation.measure(frame, &counts).1
         })
         .filter(|point| kept(point.column))

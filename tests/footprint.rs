@@ -7,9 +7,7 @@ use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::batch::Simulation;
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::integrator::{
-    Patterns, Sampling, Speckle, View, footprint_image, irradiance_image,
-};
+use lasertrace::frame::{Grid, Patterns, Region, Sampling, Speckle, View, irradiance};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
@@ -163,13 +161,15 @@ impl<'m> Part<'m> {
                 map: self.fields.map(2e-4, 60.0),
                 displacement: DVec2::new(0.3, -7.0),
             }),
-            samples_per_side: setup.samples_per_side,
+            grid: Grid::Gauss {
+                per_side: setup.samples_per_side,
+            },
             sampling: setup.sampling,
             cutoff_radii: setup.cutoff_radii,
         };
         same(
-            &irradiance_image(&view).dense(),
-            &footprint_image(&view, &self.clusters).dense(),
+            &irradiance(&view, &Region::All).dense(),
+            &irradiance(&view, &Region::Lit(&self.clusters)).dense(),
         )
     }
 }

@@ -3,7 +3,7 @@
 
 use lasertrace::accel::Ray;
 use lasertrace::batch::Simulation;
-use lasertrace::integrator::{LinePoint, Sheet, View};
+use lasertrace::frame::{LinePoint, Sheet, View};
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::scene::Scene;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ fn on_a_plane_geometry_and_the_full_chain_agree() {
     for frame in 0..scene.scan.frames {
         let view = simulation.view(frame);
         let line = sheet.profile(&view);
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         let (peaks, _) = simulation.measure(frame, &counts);
         assert_eq!(line.len(), 640);
         assert_eq!(peaks.len(), 640);

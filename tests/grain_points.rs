@@ -72,7 +72,7 @@ fn scatter(scene: &Scene) -> Scatter {
     let (mut squares, mut ratios, mut covered) = (Vec::new(), Vec::new(), Vec::new());
     let (mut points, mut kept) = (0, 0);
     for frame in 0..scene.scan.frames {
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         let found = simulation.measure(frame, &counts).1;
         points += found.len();
         let found: Vec<_> = found.iter().filter(|p| p.flags.is_empty()).collect();

@@ -5,7 +5,7 @@ mod cameras;
 use glam::UVec2;
 use lasertrace::accel::Accel;
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::integrator::{Sampling, View, irradiance_image};
+use lasertrace::frame::{Grid, Region, Sampling, View, irradiance};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
@@ -54,7 +54,7 @@ const REFLECTANCE: f64 = 0.4;
 impl Setup {
     fn image(&self) -> Vec<f32> {
         let accel = Accel::build(&self.mesh.clone().into(), 1).unwrap();
-        irradiance_image(&View {
+        let view = View {
             accel: &accel,
             surface: Lambert {
                 reflectance: REFLECTANCE,
@@ -64,11 +64,13 @@ impl Setup {
             camera: &self.camera,
             part_from_camera: self.part_from_camera,
             speckle: None,
-            samples_per_side: self.samples_per_side,
+            grid: Grid::Gauss {
+                per_side: self.samples_per_side,
+            },
             sampling: Sampling::Planes,
             cutoff_radii: CUTOFF_RADII,
-        })
-        .dense()
+        };
+        irradiance(&view, &Region::All).dense()
     }
 }
 

@@ -11,7 +11,7 @@ fn measured(scene: &str) -> Vec<CloudPoint> {
     let simulation = Simulation::new(&scene).unwrap();
     (0..scene.scan.frames)
         .flat_map(|frame| {
-            let counts = simulation.counts(frame, &simulation.irradiance(frame));
+            let counts = simulation.image(frame);
             simulation.measure(frame, &counts).1
         })
         .collect()

@@ -2,7 +2,7 @@
 
 use lasertrace::accel::Clusters;
 use lasertrace::batch::Simulation;
-use lasertrace::integrator::{Sampling, footprint_image};
+use lasertrace::frame::{Grid, Region, Sampling, irradiance};
 use lasertrace::scene::Scene;
 use std::path::Path;
 
@@ -41,10 +41,10 @@ fn lines_lie_where_a_ray_for_every_sample_has_them() {
     let mut shifts = Vec::new();
     for frame in [20, 55, 110, 170] {
         let mut view = simulation.view(frame);
-        assert!(view.sampling == Sampling::Planes && view.samples_per_side > 1);
-        let planes = centroids(&footprint_image(&view, &clusters).dense(), columns);
+        assert!(view.sampling == Sampling::Planes && view.grid != (Grid::Gauss { per_side: 1 }));
+        let planes = centroids(&irradiance(&view, &Region::Lit(&clusters)).dense(), columns);
         view.sampling = Sampling::Rays;
-        let rays = centroids(&footprint_image(&view, &clusters).dense(), columns);
+        let rays = centroids(&irradiance(&view, &Region::Lit(&clusters)).dense(), columns);
         for (a, b) in planes.iter().zip(&rays) {
             if let (Some(a), Some(b)) = (a, b) {
                 shifts.push((a - b).abs());

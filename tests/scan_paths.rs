@@ -30,7 +30,7 @@ fn a_turned_part_on_a_rotary_table_is_round() {
     let simulation = Simulation::new(&scene).unwrap();
     let mut seen = [0; 36];
     for frame in 0..scene.scan.frames {
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         let points = simulation.measure(frame, &counts).1;
         assert_eq!(points.len(), 640, "frame {frame}");
         for point in points {

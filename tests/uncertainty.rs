@@ -70,7 +70,7 @@ fn points(mut scene: Scene, seeds: u64) -> Vec<CloudPoint> {
         let simulation = Simulation::new(&scene).unwrap();
         let mut taken = Vec::new();
         for frame in 0..scene.scan.frames {
-            let counts = simulation.counts(frame, &simulation.irradiance(frame));
+            let counts = simulation.image(frame);
             taken.extend(simulation.measure(frame, &counts).1);
         }
         simulation.compare_frames(0..scene.scan.frames, &mut taken);

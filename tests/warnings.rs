@@ -28,7 +28,7 @@ fn checked(folder: &Path) -> (Scene, Checked) {
 fn points(scene: &Scene) -> Vec<CloudPoint> {
     let simulation = Simulation::new(scene).unwrap();
     let frame = |frame| {
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         simulation.measure(frame, &counts).1
     };
     (0..scene.scan.frames).flat_map(frame).collect()

@@ -313,7 +313,7 @@ fn a_copy_unmoved_is_the_mesh_itself() {
             ..alone
         };
         let placed = Accel {
-            copies: Some(Copies::new(unmoved.clone().into(), &mesh.bounds())),
+            copies: Some(Copies::new(unmoved.into(), &mesh.bounds())),
             ..copy
         };
         // And by the other way to rounding.

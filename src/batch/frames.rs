@@ -26,7 +26,7 @@ impl FrameContent {
         let (counts, (peaks, points)) = match simulation.plan.geometry_only {
             true => (None, simulation.geometric(frame)),
             false => {
-                let counts = simulation.counts(frame, &simulation.irradiance(frame));
+                let counts = simulation.image(frame);
                 let measured = simulation.measure(frame, &counts);
                 (Some(counts), measured)
             }

@@ -2,11 +2,11 @@
 
 use super::Simulation;
 use crate::camera::{Camera, Counts};
+use crate::frame::LinePoint;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::compare_frames;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
-use crate::integrator::LinePoint;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
     ErrorModel, Flags, Peak, PeakSettings, RowError, SpeckleGrain, compare_neighbours, find_peaks,
@@ -74,8 +74,7 @@ impl Simulation {
     fn ideal_peak(&self, point: &LinePoint) -> Peak {
         let Camera { sensor, .. } = &self.scene.camera;
         let pixel = DVec2::new(point.column as f64 + 0.5, point.row);
-        let radiance = self.scene.surface.radiance(point.irradiance);
-        let irradiance = radiance * self.scene.camera.pupil_solid_angle(pixel);
+        let irradiance = point.radiance * self.scene.camera.pupil_solid_angle(pixel);
         let wavelength = self.scene.laser.beam.wavelength;
         let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
         let height = electrons.min(sensor.full_well_e) * sensor.gain_dn_per_e;

@@ -2,8 +2,8 @@
 
 use super::{Control, Coverage, files, forecast};
 use crate::error::Result;
+use crate::frame::truth_layers;
 use crate::inspect::picture::encode_counts;
-use crate::integrator::truth_layers;
 use crate::scene::Scene;
 use exr::prelude::FlatSamples;
 use serde::Serialize;

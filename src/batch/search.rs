@@ -6,9 +6,10 @@ use super::planner::{full, named};
 use super::simulation::Simulation;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;
+use crate::frame::Sampling;
+use crate::integrator::Plan;
 use crate::integrator::accuracy::{Accuracy, Pilot, candidates, geometry_only, no_finer};
 use crate::integrator::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
-use crate::integrator::{Plan, Sampling};
 use crate::scene::Scene;
 use std::sync::Arc;
 

@@ -7,14 +7,13 @@ use super::planner;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
-use crate::camera::{Counts, DarkCounts, Sensor};
+use crate::camera::Counts;
 use crate::error::Result;
+use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, View};
+use crate::integrator::Plan;
 use crate::integrator::accuracy::geometry_only;
 use crate::integrator::in_view::{InView, Optics};
 use crate::integrator::plan::{ExposureMotion, SpeckleOptics};
-use crate::integrator::{
-    Irradiance, Plan, Sheet, View, footprint_image, irradiance_image, lit_columns, strip_image,
-};
 use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::Watch;
@@ -33,18 +32,12 @@ pub struct Simulation {
     speckle: Option<Arc<ScanSpeckle>>,
     /// `None`: every sample is traced.
     clusters: Option<Arc<Clusters>>,
-    /// The scene's, without noise if the plan leaves it out.
-    sensor: Sensor,
-    /// `None`: dark counts are all the same.
-    dark: Option<DarkCounts>,
+    /// The scene's sensor, without noise if the plan leaves it out.
+    readout: Readout,
     pub(super) errors: ErrorModel,
     /// `None`: profiles come from images.
     pub(super) sheet: Option<Sheet>,
 }
-
-/// Tells the key of the groups of dark pixels from those of pixels: no sensor has
-/// as many.
-const DARK: u64 = u64::MAX;
 
 /// Builds the hierarchy a scene asks for; `watch` hears how far that is.
 pub(super) fn hierarchy(scene: &Scene, watch: &Watch) -> Result<Accel> {
@@ -142,8 +135,7 @@ impl Simulation {
                 .unwrap_or_else(|| perfect_calibration(scene)),
             speckle,
             clusters: None,
-            dark: DarkCounts::new(&sensor),
-            sensor,
+            readout: Readout::new(sensor, scene.laser.beam.wavelength),
             errors: error_model(scene),
             sheet: scene
                 .laser
@@ -177,35 +169,47 @@ impl Simulation {
             part_from_camera: part_from_head * scene.head_from_camera,
             speckle: (self.speckle.as_ref())
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
-            samples_per_side: self.plan.samples_per_side,
+            grid: Grid::Gauss {
+                per_side: self.plan.samples_per_side,
+            },
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,
         }
     }
 
+    /// The views of one exposure.
+    fn views(&self, frame: u32) -> impl Iterator<Item = View<'_>> {
+        let places = self.scene.scan.exposure_places(frame);
+        places.map(|place| self.view_at(place))
+    }
+
+    /// Where light is sought: in what may see lit surface, or everywhere.
+    fn region(&self) -> Region<'_> {
+        (self.clusters.as_ref()).map_or(Region::All, |clusters| Region::Lit(clusters))
+    }
+
     /// The light on the sensor in a frame, the mean over the poses of its exposure.
     pub fn irradiance(&self, frame: u32) -> Irradiance {
-        self.mean(frame, |view| match &self.clusters {
-            Some(clusters) => footprint_image(view, clusters),
-            None => irradiance_image(view),
-        })
+        self.mean(frame, &self.region())
     }
 
     /// The same in these columns alone, and dark elsewhere; of one that traces the
     /// footprint.
     pub(super) fn strip(&self, frame: u32, columns: &Range<usize>) -> Irradiance {
         let clusters = self.clusters.as_ref().expect("it traces the footprint");
-        self.mean(frame, |view| strip_image(view, clusters, columns))
+        self.mean(frame, &Region::Columns(clusters, columns.clone()))
     }
 
     /// From the first column that may be lit in a frame to the last.
     pub(super) fn lit_columns(&self, frame: u32) -> Option<Range<usize>> {
-        lit_columns(&self.view(frame), self.clusters.as_ref()?)
+        let clusters = self.clusters.as_ref()?;
+        frame::footprint(&self.view(frame), &Region::Lit(clusters)).span()
     }
 
-    fn mean(&self, frame: u32, image: impl Fn(&View) -> Irradiance) -> Irradiance {
-        let places = self.scene.scan.exposure_places(frame);
-        let images = places.map(|place| image(&self.view_at(place)));
+    fn mean(&self, frame: u32, region: &Region) -> Irradiance {
+        let images = self
+            .views(frame)
+            .map(|view| frame::irradiance(&view, region));
         Irradiance::mean(images.collect())
     }
 
@@ -213,28 +217,23 @@ impl Simulation {
     pub(super) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
         match self.plan.geometry_only {
             true => self.geometric_peaks(frame).0,
-            false => self.peaks(&self.counts(frame, &self.irradiance(frame))).0,
+            false => self.peaks(&self.image(frame)).0,
         }
+    }
+
+    fn noise(&self, frame: u32) -> Key {
+        Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64)
     }
 
     /// What the sensor makes of the light.
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
-        let sensor = &self.sensor;
-        let electrons = sensor.electrons_per_irradiance(self.scene.laser.beam.wavelength);
-        let key = Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64);
-        let (columns, rows) = (irradiance.columns(), irradiance.rows());
-        let mut image = match &self.dark {
-            None => Counts::filled(columns, rows, sensor.count(0.0, key)),
-            Some(dark) => Counts::of_columns(dark.draw(columns * rows, key.with(DARK)), rows),
-        };
-        let counts = image.by_column_mut();
-        for row in 0..rows {
-            for (column, e) in irradiance.row(row).filter(|&(_, e)| e != 0.0) {
-                let pixel = key.with((row * columns + column) as u64);
-                counts[column * rows + row] = sensor.count(e as f64 * electrons, pixel);
-            }
-        }
-        image
+        self.readout.counts(irradiance, self.noise(frame))
+    }
+
+    /// The image that the sensor takes.
+    pub fn image(&self, frame: u32) -> Counts {
+        let (region, key) = (self.region(), self.noise(frame));
+        frame::take(self.views(frame), &region, &self.readout, key)
     }
 }
 

@@ -317,7 +317,8 @@ impl Follow<'_> {
         } = self.scene;
         let place = self.laser_from_part.point(hit.point).with_y(0.0);
         let light = laser.at(place)?;
-        let received = -light.flux.dot(self.laser_from_part.vector(hit.normal));
+        let normal = self.laser_from_part.vector(hit.normal);
+        let received = -light.flux.dot(normal);
         let pixel = self
             .projector
             .project(self.camera_from_laser.point(place))?;
@@ -327,7 +328,10 @@ impl Follow<'_> {
             .project(self.camera_from_laser.point(beside))?;
         let sigma = (beside - pixel).length() / 2.0;
         let share = sigma * TAU.sqrt() * libm::erf(0.5 * FRAC_1_SQRT_2 / sigma);
-        let irradiance = surface.radiance(received) * camera.pupil_solid_angle(pixel);
+        let towards_light = -light.flux.normalize_or_zero();
+        let towards_eye = self.laser_from_part.vector(self.eye - hit.point);
+        let bsdf = surface.bsdf(normal, towards_light, towards_eye.normalize_or_zero());
+        let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
         let electrons = irradiance
             * camera
                 .sensor

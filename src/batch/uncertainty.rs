@@ -62,7 +62,7 @@ pub fn monte_carlo(
         control.check()?;
         scene.seed = first.wrapping_add(k);
         let simulation = Simulation::new(&scene)?;
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         let (peaks, stated) = simulation.peaks(&counts);
         found += peaks.len();
         for (peak, stated) in peaks.iter().zip(stated) {
@@ -107,7 +107,7 @@ fn ideal_peaks(scene: &mut Scene, frame: u32) -> Result<(Vec<Option<Peak>>, Cali
     let speckle = scene.speckle.take();
     let noise = scene.camera.sensor.noise.take();
     let simulation = Simulation::new(scene)?;
-    let counts = simulation.counts(frame, &simulation.irradiance(frame));
+    let counts = simulation.image(frame);
     let mut by_column = vec![None; scene.camera.sensor.resolution.x as usize];
     for peak in simulation.peaks(&counts).0 {
         by_column[peak.column as usize] = peak.flags.is_empty().then_some(peak);

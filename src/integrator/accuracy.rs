@@ -1,9 +1,9 @@
 //! What a tolerance of height asks, which plans there are to choose from, and what is said of
 //! the one that is chosen.
 
-use super::Sampling;
 use super::height_error::{HeightError, PROMISED_SHARE};
 use super::plan::Plan;
+use crate::frame::Sampling;
 use crate::speckle::pattern::Aperture;
 use serde::Serialize;
 

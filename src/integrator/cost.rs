@@ -1,8 +1,8 @@
 //! What a plan costs: predicted from counts of what a frame does.
 
-use super::Sampling;
 use super::accuracy::Pilot;
 use super::plan::Plan;
+use crate::frame::Sampling;
 use crate::speckle::lookup::Method;
 
 /// Time of one of each, ns: fitted to the demo's rows of `lasertrace chart`, which they

@@ -2,12 +2,9 @@
 //! plan is made for these places: a part may be many times as large as what the sensor
 //! sees of it.
 
-use super::bend::Bend;
-use super::footprint::{frustum, sides};
-use super::geometric::SheetAngles;
-use super::sight::{Projection, Sight};
 use crate::accel::{Accel, HalfSpace, Ray, WIDTH};
 use crate::camera::{Camera, Projector};
+use crate::frame::{Bend, Projection, SheetAngles, Sight, frustum, sides};
 use crate::laser::Laser;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3, Rigid};

@@ -1,13 +1,13 @@
 //! Which effects are modelled and how finely, and why: no more than the scene
 //! needs.
 
-use super::Sampling;
 use super::accuracy::Accuracy;
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
 use super::grain_extent::GrainExtent;
 use super::in_view::Optics;
-use super::samples::sampling_error;
+use crate::frame::Sampling;
+use crate::frame::sampling_error;
 use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
 use crate::speckle::pattern::Aperture;

@@ -93,6 +93,20 @@ impl Laser {
         }
     }
 
+    /// Greatest angle (rad) along the line over which the irradiance may be taken as constant:
+    /// its mean over the angle is that of the middle to 1 %. A Gaussian profile bends most at
+    /// [`CUTOFF_RADII`] u from its middle, by (16u² - 4)/Φ² of itself with Φ its 1/e² angle;
+    /// the mean over an angle a differs by a²/24 times as much. Elsewhere there is no such angle.
+    pub fn constant_angle(&self) -> f64 {
+        match self.fan {
+            Some(fan) if fan.profile == FanProfile::Gaussian => {
+                let bend = 16.0 * CUTOFF_RADII * CUTOFF_RADII - 4.0;
+                fan.angle / 2.0 * (0.01 * 24.0 / bend).sqrt()
+            }
+            _ => f64::INFINITY,
+        }
+    }
+
     /// Wavefront on the axis or the sheet at the point of it nearest to `p`: 1/R(z)
     /// = z/(z² + z_R²) across (Siegman 1986, ch. 17; zero at the waist), and 1/ρ
     /// along the line of a fan.

@@ -1,10 +1,13 @@
 //! A race of one round on a small sphere: not how fast, but that all run the same
 //! course and are judged rightly.
 
-use peak_alloc::PeakAlloc;
 use super::*;
 use crate::mesh::shapes;
 use std::sync::Arc;
+
+/// As the program has it.
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 const EFFORT: Effort = Effort {
     rays: 4000,

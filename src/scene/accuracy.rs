@@ -4,7 +4,7 @@
 use super::resolve::Resolver;
 use crate::accel::Backend;
 use crate::error::Result;
-use crate::integrator::Sampling;
+use crate::frame::Sampling;
 use crate::integrator::plan::MAX_SAMPLES_PER_SIDE;
 use crate::laser::CUTOFF_RADII;
 use schemars::JsonSchema;

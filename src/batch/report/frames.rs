@@ -54,7 +54,7 @@ impl Shown<'_> {
     fn sample_frame(&self, frame: u32, why: &'static str) -> SampleFrame {
         let simulation = self.simulation;
         let sensor = &simulation.scene.camera.sensor;
-        let counts = simulation.counts(frame, &simulation.irradiance(frame));
+        let counts = simulation.image(frame);
         let (peaks, _) = simulation.measure(frame, &counts);
         SampleFrame {
             number: frame,

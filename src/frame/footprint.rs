@@ -15,10 +15,36 @@ use super::sight::{Image, Projection, Sight};
 use crate::accel::{Clusters, Found, HalfSpace};
 use crate::laser::{FanProfile, Laser};
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use std::ops::Range;
+
+/// Where on the sensor light is sought.
+#[derive(Clone)]
+pub enum Region<'a> {
+    /// In every pixel: the check of the others.
+    All,
+    /// In those that may see lit surface; of the part's mesh.
+    Lit(&'a Clusters),
+    /// In those of these columns, where the light is the same.
+    Columns(&'a Clusters, Range<usize>),
+}
+
+/// The pixels of a region.
+pub fn footprint(view: &View, region: &Region) -> Pixels {
+    let sight = Sight::new(view.camera, &view.part_from_camera);
+    match region {
+        Region::All => Pixels::all(view.camera.sensor.resolution),
+        Region::Lit(clusters) => lit_pixels(view, &sight, clusters),
+        Region::Columns(clusters, columns) => {
+            let mut pixels = lit_pixels(view, &sight, clusters);
+            pixels.keep_columns(columns);
+            pixels
+        }
+    }
+}
 
 /// The pixels that may see light. Costs what the beam touches, not what the mesh or
 /// the sensor holds.
-pub(super) fn footprint(view: &View, sight: &Sight, clusters: &Clusters) -> Pixels {
+fn lit_pixels(view: &View, sight: &Sight, clusters: &Clusters) -> Pixels {
     let margin = margin(view);
     let beam = slices(view, margin);
     let resolution = view.camera.sensor.resolution;
@@ -76,7 +102,7 @@ fn detail(view: &View, projection: &Projection) -> f64 {
 
 /// What the sensor sees: a pyramid from the eye; for a lens that distorts one that holds
 /// it.
-pub(super) fn frustum(
+pub(crate) fn frustum(
     eye: DVec3,
     projection: &Projection,
     resolution: DVec2,
@@ -146,7 +172,7 @@ fn slices(view: &View, margin: f64) -> Vec<Vec<HalfSpace>> {
 }
 
 /// What bounds the beam along x.
-pub(super) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
+pub(crate) fn sides(laser: &Laser, part_from_laser: &Rigid, reach: f64) -> Option<[HalfSpace; 2]> {
     let aperture = part_from_laser.translation;
     let (x, z) = (
         part_from_laser.rotation.x_axis,

@@ -43,6 +43,13 @@ pub enum Patterns<'a> {
     },
 }
 
+impl Patterns<'_> {
+    /// Whether they are read where the surface was seen.
+    pub(super) fn read_surface(&self) -> bool {
+        matches!(self, Patterns::Strips { .. })
+    }
+}
+
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
     rays: ChiefRays,

@@ -14,8 +14,8 @@ pub struct LinePoint {
     pub column: u32,
     /// Row coordinate of the line at the column's centre.
     pub row: f64,
-    /// Irradiance (mW/mm²) the surface receives in the middle of the line.
-    pub irradiance: f64,
+    /// Of the surface in the middle of the line, towards the camera, mW/mm²/sr.
+    pub radiance: f64,
 }
 
 /// Directions (laser frame, unit) in which the sheet is sampled: no two
@@ -29,7 +29,7 @@ pub struct Sheet {
 const MOST_RAYS_PER_COLUMN: f64 = 8.0;
 
 /// Where in a fan the pixels of a camera look.
-pub(super) struct SheetAngles<'a> {
+pub(crate) struct SheetAngles<'a> {
     camera: &'a Camera,
     laser_from_camera: Rigid,
     /// At which the fan ends, to either side.
@@ -304,7 +304,7 @@ impl<'a> Frame<'a> {
         let hidden = self.view.accel.occluded(&sights[..count]);
         for (i, point) in points.into_iter().flatten().enumerate() {
             let best: &mut Option<LinePoint> = &mut columns[point.column as usize];
-            let brighter = best.is_none_or(|b| b.irradiance < point.irradiance);
+            let brighter = best.is_none_or(|b| b.radiance < point.radiance);
             if hidden >> i & 1 == 0 && brighter {
                 *best = Some(point);
             }
@@ -323,14 +323,18 @@ impl<'a> Frame<'a> {
         let across = self.camera.project(on_camera)? - *image;
         let row = image.y + (target.center() - image.x) * across.y / across.x;
         let light = self.view.laser.at(self.laser_from_part.point(hit.point))?;
-        let irradiance = -light.flux.dot(self.laser_from_part.vector(hit.normal));
+        let normal = self.laser_from_part.vector(hit.normal);
+        let received = -light.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
         let sight = Ray::between(start, eye)?;
-        let faces = sight.direction.dot(hit.normal) > 0.0 && irradiance > 0.0;
+        let faces = sight.direction.dot(hit.normal) > 0.0 && received > 0.0;
+        let towards_eye = self.laser_from_part.vector(sight.direction);
+        let towards_light = -light.flux.normalize_or_zero();
+        let bsdf = (self.view.surface).bsdf(normal, towards_light, towards_eye);
         let point = LinePoint {
             column: target.column as u32,
             row,
-            irradiance,
+            radiance: bsdf * received,
         };
         (faces && (0.0..self.rows).contains(&row)).then_some((point, sight))
     }

@@ -1,36 +1,21 @@
 //! The irradiance of a frame, kept for the pixels that light may reach alone.
 
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Rows};
 use glam::UVec2;
 
 /// Irradiance on the sensor averaged over each pixel, mW/mm².
 #[derive(Debug, Clone, PartialEq)]
 pub struct Irradiance {
-    pixels: Pixels,
+    rows: Rows,
     /// Of those pixels, row by row.
     values: Vec<f32>,
-    /// Where in `values` each row begins, and their number.
-    starts: Vec<usize>,
 }
 
 impl Irradiance {
-    /// `values` of `pixels`, row by row.
-    pub(super) fn new(pixels: Pixels, values: Vec<f32>) -> Irradiance {
-        let mut end = 0;
-        let starts = (0..=pixels.rows).map(|row| {
-            let start = end;
-            if row < pixels.rows {
-                end += pixels.count(row);
-            }
-            start
-        });
-        let starts = starts.collect();
-        debug_assert_eq!(end, values.len());
-        Irradiance {
-            pixels,
-            values,
-            starts,
-        }
+    /// `values` of the pixels of `rows`.
+    pub(super) fn new(rows: Rows, values: Vec<f32>) -> Irradiance {
+        debug_assert_eq!(rows.total(), values.len());
+        Irradiance { rows, values }
     }
 
     /// The mean of as many images of one sensor.
@@ -54,15 +39,15 @@ impl Irradiance {
                     .map(|column| std::mem::take(&mut sums[column])),
             );
         }
-        Irradiance::new(pixels, values)
+        Irradiance::new(Rows::new(pixels), values)
     }
 
     pub fn columns(&self) -> usize {
-        self.pixels.columns
+        self.rows.pixels.columns
     }
 
     pub fn rows(&self) -> usize {
-        self.pixels.rows
+        self.rows.pixels.rows
     }
 
     /// Number of pixels that may be lit.
@@ -72,8 +57,8 @@ impl Irradiance {
 
     /// Columns of a row that may be lit, from left to right, and their irradiance.
     pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let values = &self.values[self.starts[row]..self.starts[row + 1]];
-        self.pixels.of(row).zip(values.iter().copied())
+        let values = &self.values[self.rows.range(row)];
+        self.rows.pixels.of(row).zip(values.iter().copied())
     }
 
     /// Of every pixel, row by row.
@@ -101,7 +86,10 @@ mod tests {
                 pixels.insert(row, from, to);
             }
             let count = (0..3).map(|row| pixels.count(row)).sum::<usize>();
-            Irradiance::new(pixels, (0..count).map(|i| first + i as f32).collect())
+            Irradiance::new(
+                Rows::new(pixels),
+                (0..count).map(|i| first + i as f32).collect(),
+            )
         };
         let a = image(&[(0, 60, 69), (2, 0, 1)], 1.0);
         let b = image(&[(0, 68, 69), (1, 5, 5)], 10.0);

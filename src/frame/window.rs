@@ -1,7 +1,7 @@
 //! Bands of tiles at hand, and which pixels see the same surface as all around them.
 
-use super::lit::{Center, NORMAL_TOLERANCE, Plane};
 use super::pixels::SIDE;
+use super::rays::{Met, NORMAL_TOLERANCE, Plane};
 use crate::accel::WIDTH;
 use crate::math::DVec3;
 use wide::f32x4;
@@ -20,14 +20,14 @@ struct Band {
     /// For each tile of the band, counted from the left, its place in `tiles`.
     places: Vec<u32>,
     /// Those past the last place are left from other bands.
-    tiles: Vec<[Center; WIDTH]>,
+    tiles: Vec<[Met; WIDTH]>,
 }
 
 const MISSING: u32 = u32::MAX;
 
 impl Band {
     /// `None` for a tile that was not filled in.
-    fn tile(&self, tile: usize) -> Option<&[Center; WIDTH]> {
+    fn tile(&self, tile: usize) -> Option<&[Met; WIDTH]> {
         let place = *self.places.get(tile)?;
         self.tiles.get(place as usize)
     }
@@ -40,7 +40,7 @@ impl Window {
         &mut self,
         band: usize,
         firsts: impl Iterator<Item = usize>,
-        centers: impl Fn(usize, &mut [Center; WIDTH]),
+        centers: impl Fn(usize, &mut [Met; WIDTH]),
     ) {
         let Band { places, tiles } = &mut self.bands[band % BANDS];
         places.clear();
@@ -48,14 +48,14 @@ impl Window {
             places.resize(first / SIDE, MISSING);
             places.push(place as u32);
             if place == tiles.len() {
-                tiles.push([const { Center::Nothing }; WIDTH]);
+                tiles.push([const { Met::Nothing }; WIDTH]);
             }
             centers(first, &mut tiles[place]);
         }
     }
 
     /// A tile filled in, by its first column.
-    pub fn tile(&self, band: usize, first: usize) -> &[Center; WIDTH] {
+    pub fn tile(&self, band: usize, first: usize) -> &[Met; WIDTH] {
         let tile = self.bands[band % BANDS].tile(first / SIDE);
         tile.expect("tiles are looked at after they are filled in")
     }
@@ -72,11 +72,11 @@ impl Window {
     }
 }
 
-impl Center {
+impl Met {
     fn plane(&self) -> Option<&Plane> {
         match self {
-            Center::Nothing => None,
-            Center::Dark(plane) | Center::Unlit(plane) | Center::Lit(_, plane) => Some(plane),
+            Met::Nothing => None,
+            Met::Dark(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => Some(plane),
         }
     }
 }
@@ -122,7 +122,7 @@ impl Around {
                 let column = (first + j).saturating_sub(1).min(columns - 1);
                 let center = tiles
                     .tile(column / SIDE)
-                    .map_or(&Center::Nothing, |t| &t[row % SIDE * SIDE + column % SIDE]);
+                    .map_or(&Met::Nothing, |t| &t[row % SIDE * SIDE + column % SIDE]);
                 around.set(STRIDE * i + j, center, origin);
             }
         }
@@ -130,12 +130,12 @@ impl Around {
     }
 
     #[inline(always)]
-    fn set(&mut self, cell: usize, center: &Center, origin: DVec3) {
+    fn set(&mut self, cell: usize, center: &Met, origin: DVec3) {
         let bits = match center {
-            Center::Nothing => &mut self.nothing,
-            Center::Dark(_) => &mut 0,
-            Center::Unlit(_) => &mut self.unlit,
-            Center::Lit(..) => &mut self.lit,
+            Met::Nothing => &mut self.nothing,
+            Met::Dark(_) => &mut 0,
+            Met::Unlit(_) => &mut self.unlit,
+            Met::Lit(..) => &mut self.lit,
         };
         *bits |= 1 << cell;
         if let Some(plane) = center.plane() {

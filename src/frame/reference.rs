@@ -1,6 +1,6 @@
 //! Where a sample's light was seen in another pose of the path.
 
-use super::lit::{Light, Plane};
+use super::rays::{Lit, Plane};
 use crate::camera::Camera;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
@@ -32,7 +32,7 @@ pub struct Reference {
 }
 
 /// What a sample of a pixel sees.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Seen {
     /// Of the surface, along the camera's axis, mm.
     pub depth: f64,
@@ -41,7 +41,7 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    pub fn new(light: &Light, plane: &Plane) -> Seen {
+    pub fn new(light: &Lit, plane: &Plane) -> Seen {
         Seen {
             depth: light.depth,
             normal: plane.normal,

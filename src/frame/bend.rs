@@ -14,7 +14,7 @@ use crate::math::{DMat3, DVec2, DVec3};
 /// Pieces along each side of the sensor in which its border is followed.
 const BORDER: usize = 64;
 
-pub(super) struct Bend {
+pub(crate) struct Bend {
     distortion: Distortion,
     eye: DVec3,
     /// part_from_camera.

@@ -1,7 +1,7 @@
 //! That the footprint is small; that it is large enough is tests/footprint.rs.
 
 use super::*;
-use crate::integrator::Sampling;
+use crate::frame::{Grid, Sampling};
 use crate::laser::{Beam, Fan};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::Lambert;
@@ -36,12 +36,11 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         camera: &camera,
         part_from_camera: looking(DVec3::new(0.0, -120.0, 240.0 * 0.75f64.sqrt())),
         speckle: None,
-        samples_per_side: 1,
+        grid: Grid::Gauss { per_side: 1 },
         sampling: Sampling::Planes,
         cutoff_radii: crate::laser::CUTOFF_RADII,
     };
-    let sight = Sight::new(&camera, &view.part_from_camera);
-    footprint(&view, &sight, &Clusters::new(mesh))
+    footprint(&view, &Region::Lit(&Clusters::new(mesh)))
 }
 
 fn count(pixels: &Pixels) -> usize {

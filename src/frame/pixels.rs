@@ -19,9 +19,9 @@ pub(super) fn middle(column: usize, row: usize) -> DVec2 {
 /// settles ties between triangles by the order it meets them in, which depends on the
 /// other rays of the packet.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Pixels {
-    pub columns: usize,
-    pub rows: usize,
+pub struct Pixels {
+    pub(super) columns: usize,
+    pub(super) rows: usize,
     words_per_row: usize,
     words: Vec<u64>,
 }
@@ -163,6 +163,49 @@ impl Pixels {
     /// Number of a row's pixels.
     pub fn count(&self, row: usize) -> usize {
         self.row(row).iter().map(|w| w.count_ones() as usize).sum()
+    }
+}
+
+/// Pixels numbered row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Rows {
+    pub pixels: Pixels,
+    /// Number of the first pixel of each row, and of all.
+    starts: Vec<usize>,
+}
+
+impl Rows {
+    pub fn new(pixels: Pixels) -> Rows {
+        let mut end = 0;
+        let starts = (0..=pixels.rows).map(|row| {
+            let start = end;
+            if row < pixels.rows {
+                end += pixels.count(row);
+            }
+            start
+        });
+        Rows {
+            starts: starts.collect(),
+            pixels,
+        }
+    }
+
+    /// Number of a row's first pixel.
+    pub fn start(&self, row: usize) -> usize {
+        self.starts[row]
+    }
+
+    /// Numbers of a row's pixels.
+    pub fn range(&self, row: usize) -> Range<usize> {
+        self.starts[row]..self.starts[row + 1]
+    }
+
+    pub fn count(&self, row: usize) -> usize {
+        self.range(row).len()
+    }
+
+    pub fn total(&self) -> usize {
+        self.starts[self.pixels.rows]
     }
 }
 

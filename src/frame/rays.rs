@@ -1,4 +1,4 @@
-//! What single rays of the camera see: nothing, surface, lit surface.
+//! What rays of the camera see: nothing, surface, lit surface.
 
 use super::View;
 use super::pixels::{SIDE, middle};
@@ -16,15 +16,15 @@ const PLANE_TOLERANCE: f64 = 0.01;
 /// facets the light received changes by 5 % where it falls at 45°.
 pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
-/// What a ray sees.
+/// What a ray meets.
 #[derive(Clone, Copy)]
-pub(super) enum Center {
+pub(super) enum Met {
     Nothing,
     /// Further from the middle of the beam than light is taken to reach.
     Dark(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
     Unlit(Plane),
-    Lit(Light, Plane),
+    Lit(Lit, Plane),
 }
 
 /// The surface that a ray meets, in the laser's frame.
@@ -36,9 +36,9 @@ pub(super) struct Plane {
     pub tolerance: f64,
 }
 
-/// Laser light that a ray sees.
+/// Lit surface that a ray meets.
 #[derive(Clone, Copy)]
-pub(super) struct Light {
+pub(super) struct Lit {
     /// Irradiance on the sensor (mW/mm²) were this the middle of the beam.
     pub irradiance: f64,
     /// Square of the distance from that middle, mm².
@@ -49,7 +49,7 @@ pub(super) struct Light {
     pub radius: f64,
 }
 
-impl Light {
+impl Lit {
     /// What the beam's profile leaves of it.
     pub fn share(&self) -> f64 {
         gaussian(self.off2, self.radius)
@@ -93,9 +93,28 @@ impl<'a> LitRays<'a> {
         }
     }
 
+    /// Whether over a pixel, within which a plane is seen to move by `moves` (laser's frame, mm) as
+    /// the direction to it turns by `steps`, surface and laser say that they are constant.
+    #[inline(always)]
+    pub fn is_constant_over(
+        &self,
+        plane: &Plane,
+        moves: [DVec3; 2],
+        steps: [DVec3; 2],
+        direction: DVec3,
+    ) -> bool {
+        let constant = |limit: f64, lengths: [f64; 2], distance: f64| {
+            limit == f64::INFINITY || lengths[0].max(lengths[1]) <= limit * distance
+        };
+        let along = moves.map(|step| step.x.abs());
+        let turns = steps.map(|step| step.length());
+        constant(self.view.laser.constant_angle(), along, plane.point.z)
+            && constant(self.view.surface.constant_cone(), turns, direction.length())
+    }
+
     /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
     /// row.
-    pub fn centers(&self, band: usize, first: usize, wanted: u16, centers: &mut [Center; WIDTH]) {
+    pub fn centers(&self, band: usize, first: usize, wanted: u16, centers: &mut [Met; WIDTH]) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
         let mut rays_wanted = 0;
@@ -118,7 +137,7 @@ impl<'a> LitRays<'a> {
             return;
         }
         // At the sensor's border a tile has less than sixteen.
-        centers[count..].fill(Center::Nothing);
+        centers[count..].fill(Met::Nothing);
         for (i, &pixel) in pixels[..count].iter().enumerate().rev() {
             centers.swap(i, pixel);
         }
@@ -135,7 +154,7 @@ impl<'a> LitRays<'a> {
 
     /// What rays from the eye see, up to 16, that come from these places on the sensor;
     /// those that are not `wanted` (as bits) nothing.
-    pub fn look(&self, places: &[DVec2], rays: &[Ray], wanted: u16, centers: &mut [Center]) {
+    pub fn look(&self, places: &[DVec2], rays: &[Ray], wanted: u16, centers: &mut [Met]) {
         let near_sheet = |i: usize, t: f64| {
             let climb = self.across.dot(rays[i].direction);
             (self.from_laser.eye.y + t * climb).abs() <= self.far
@@ -145,7 +164,7 @@ impl<'a> LitRays<'a> {
         let mut lit = [0; WIDTH];
         for (i, ray) in rays.iter().enumerate() {
             centers[i] = match &hits[i] {
-                None => Center::Nothing,
+                None => Met::Nothing,
                 Some(hit) => {
                     let (center, shadow_ray) = self.seen(hit, ray.direction, places[i]);
                     if let Some(ray) = shadow_ray {
@@ -161,14 +180,14 @@ impl<'a> LitRays<'a> {
         }
         let blocked = self.view.accel.occluded(&shadow_rays);
         for (bit, &i) in lit[..shadow_rays.len()].iter().enumerate() {
-            if let (1, Center::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
-                centers[i] = Center::Unlit(plane);
+            if let (1, Met::Lit(_, plane)) = (blocked >> bit & 1, centers[i]) {
+                centers[i] = Met::Unlit(plane);
             }
         }
     }
 
     /// A hit, and if it may be lit the ray on which the light may be blocked.
-    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Center, Option<Ray>) {
+    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Met, Option<Ray>) {
         let laser = self.view.laser;
         let point = self.laser_from_part.point(hit.point);
         let section = laser.section(point);
@@ -180,11 +199,11 @@ impl<'a> LitRays<'a> {
             tolerance: PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs(),
         };
         let Some(section) = section else {
-            return (Center::Unlit(plane), None);
+            return (Met::Unlit(plane), None);
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            return (Center::Dark(plane), None);
+            return (Met::Dark(plane), None);
         }
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
@@ -194,15 +213,18 @@ impl<'a> LitRays<'a> {
         let shadow_ray = Ray::between(start, aperture)
             .filter(|ray| received > 0.0 && ray.direction.dot(hit.normal) > 0.0);
         let Some(shadow_ray) = shadow_ray else {
-            return (Center::Unlit(plane), None);
+            return (Met::Unlit(plane), None);
         };
-        let radiance = self.view.surface.radiance(received);
-        let light = Light {
+        let towards_light = -section.flux.normalize_or_zero();
+        let towards_eye = -self.laser_from_part.vector(direction);
+        let bsdf = (self.view.surface).bsdf(normal, towards_light, towards_eye);
+        let radiance = bsdf * received;
+        let light = Lit {
             irradiance: radiance * self.sight.solid_angle(place, direction),
             off2: r2,
             depth: self.sight.axis.dot(hit.point - self.sight.eye),
             radius,
         };
-        (Center::Lit(light, plane), Some(shadow_ray))
+        (Met::Lit(light, plane), Some(shadow_ray))
     }
 }

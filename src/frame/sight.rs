@@ -5,7 +5,7 @@ use crate::camera::{Camera, Distortion};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 
 /// The pupil centre and the sensor drawn in front of it, in the part's frame, mm.
-pub(super) struct Sight {
+pub(crate) struct Sight {
     pub eye: DVec3,
     pub axis: DVec3,
     /// From the eye to the sensor point of pixel coordinate (0, 0), and the steps
@@ -96,14 +96,14 @@ impl Sight {
 /// A point on or off the sensor: `pixel` looks at it from `scale` times as far as
 /// the sensor is drawn. In front of the lens `scale` is positive.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Image {
+pub(crate) struct Image {
     pub pixel: DVec2,
     pub scale: f64,
 }
 
 /// [`Sight::to_sensor`] turned round: a projective map, as three linear forms of
 /// the vector from the eye, `pixel = (column, row)/scale`.
-pub(super) struct Projection {
+pub(crate) struct Projection {
     eye: DVec3,
     pub column: DVec3,
     pub row: DVec3,
