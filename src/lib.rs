@@ -1,9 +1,26 @@
 //! lasertrace: from a CAD mesh and a description of a laser-triangulation sensor
 //! to the images it would take and the 3D points it would measure.
 //!
+//! ```
+//! use lasertrace::{Scene, Simulation};
+//!
+//! let text = include_str!("../scenes/plane/scene.toml"); // or any other TOML
+//! let scene = Scene::parse(text, "folder-of-its-files".as_ref())?;
+//! let simulation = Simulation::new(&scene)?; // owns what it needs: share it among threads
+//! let image = simulation.image(0); // what the sensor takes in frame 0
+//! let counts: Vec<u16> = image.to_rows();
+//! let (_, profile) = simulation.measure(0, &image); // its points on the part
+//! assert_eq!((counts.len(), profile.len()), (640 * 300, 640));
+//! for point in &profile {
+//!     // mm in the part's frame; deviation from the CAD, and how sure it is
+//!     println!("{} {} {}", point.position, point.deviation, point.deviation_sigma);
+//! }
+//! # Ok::<(), lasertrace::Error>(())
+//! ```
+//!
 //! ```text
-//! scene file → Scene → mesh → accel (BVH) → laser light → integrator × speckle
-//!   → sensor image → peak → profile → point cloud → deviation → report
+//! sensor, part, path → Scene → plan → [ one frame ] → cloud → deviation, uncertainty → report
+//! one frame: footprint → rays → light → blur → speckle × pixels → counts → peaks → points
 //! ```
 //!
 //! Lengths are millimetres, angles radians, irradiance mW/mm²; a quantity in
@@ -45,3 +62,7 @@ pub mod race;
 pub mod scene;
 pub mod speckle;
 pub mod surface;
+
+pub use batch::Simulation;
+pub use error::{Error, Result};
+pub use scene::Scene;
