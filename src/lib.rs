@@ -44,6 +44,14 @@
 //!      ───────┴────── surface ────────────
 //! ```
 
+// A library does not speak, and does not end the program.
+#![warn(
+    clippy::dbg_macro,
+    clippy::exit,
+    clippy::print_stderr,
+    clippy::print_stdout
+)]
+
 pub mod accel;
 pub mod batch;
 pub mod camera;

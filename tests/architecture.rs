@@ -1,158 +1,299 @@
-//! The laws of DESIGN.md, read off the source text: which room may import which,
-//! where `unsafe` may stand, how long a function may be, who may speak
-//! to the terminal. A law that is broken on purpose goes into a table below with
-//! its reason.
+//! What the compiler does not see of the laws of ARCHITECTURE.md: which room may import
+//! which, and that neither rooms nor the files of a room import each other in circles.
 
-#[path = "architecture/laws.rs"]
-mod laws;
-#[path = "architecture/source.rs"]
-mod source;
-
-use laws::*;
-use source::{code_of, functions};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-fn visit(root: &Path, folder: &str, files: &mut Vec<String>) {
-    let Ok(entries) = fs::read_dir(root.join(folder)) else {
-        return;
-    };
-    for entry in entries {
-        let entry = entry.unwrap();
-        let path = format!("{folder}/{}", entry.file_name().to_str().unwrap());
-        if entry.file_type().unwrap().is_dir() {
-            visit(root, &path, files);
-        } else if path.ends_with(".rs") {
-            files.push(path);
+/// The rooms from the ground up: each may import those before it.
+const ROOMS: &[&str] = &[
+    "error",
+    "math",
+    "mesh",
+    "accel",
+    "race",
+    "laser",
+    "surface",
+    "camera",
+    "speckle",
+    "frame",
+    "profile",
+    "integrator",
+    "inspect",
+    "scene",
+    "batch",
+    "cli",
+];
+
+/// What a room may not import though it stands before it, and why.
+const FORBIDDEN: &[(&str, &[&str], &str)] = &[
+    (
+        "laser",
+        &["mesh", "accel", "race"],
+        "models know no triangles",
+    ),
+    (
+        "surface",
+        &["mesh", "accel", "race", "laser"],
+        "models know no triangles and not each other",
+    ),
+    (
+        "camera",
+        &["mesh", "accel", "race", "laser", "surface"],
+        "models know no triangles and not each other",
+    ),
+    (
+        "speckle",
+        &["mesh", "accel", "race", "laser", "surface", "camera"],
+        "models know no triangles and not each other",
+    ),
+    (
+        "profile",
+        &["mesh", "accel", "race", "laser", "surface", "frame"],
+        "a measurement does not read its own truth",
+    ),
+];
+
+/// Rooms of plain data in, plain data out, and what they may not name.
+const HOT: &[&str] = &[
+    "math", "laser", "surface", "camera", "speckle", "frame", "profile",
+];
+const NOT_IN_HOT: &[&str] = &["std::fs", "std::net", "Mutex", "RwLock"];
+
+/// A file's module path, as "frame::light"; `lib.rs` and `main.rs` have none.
+fn module(path: &Path) -> Option<String> {
+    let text = path.with_extension("").to_str()?.replace('/', "::");
+    let text = text.trim_end_matches("::mod").to_owned();
+    (text != "lib" && text != "main").then_some(text)
+}
+
+fn room(module: &str) -> &str {
+    module.split("::").next().unwrap_or(module)
+}
+
+fn read(folder: &Path, root: &Path, files: &mut BTreeMap<String, String>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            read(&path, root, files);
+        } else if let Some(module) = module(path.strip_prefix(root).unwrap()) {
+            // Tests stand in or below the file they test, and may use what they like of it.
+            let text = fs::read_to_string(&path).unwrap();
+            let text = text
+                .split("\n#[cfg(test)]\nmod ")
+                .next()
+                .unwrap()
+                .to_owned();
+            if !module.ends_with("tests") {
+                files.insert(module, text);
+            }
         }
     }
 }
 
-#[test]
-fn the_laws_hold() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut files = vec!["build.rs".to_owned()];
-    for folder in ["src", "tests", "examples", "benches"] {
-        visit(root, folder, &mut files);
+/// The paths of a `use`, its groups opened: "super::a::{b, c::d}" gives "super::a::b" and
+/// "super::a::c::d".
+fn opened(path: &str) -> Vec<String> {
+    let Some((start, group)) = path.split_once('{') else {
+        let path = path.split(" as ").next().unwrap_or(path);
+        return vec![path.trim().to_owned()];
+    };
+    let group = &group[..group.rfind('}').unwrap_or(group.len())];
+    let (mut parts, mut depth, mut begin) = (Vec::new(), 0, 0);
+    for (i, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                parts.push(&group[begin..i]);
+                begin = i + 1;
+            }
+            _ => {}
+        }
     }
-    assert!(files.len() > 40, "found only {files:?}");
-    files.sort();
-    let wrong: Vec<String> = files
-        .iter()
-        .flat_map(|path| violations(path, &fs::read_to_string(root.join(path)).unwrap()))
+    parts.push(&group[begin..]);
+    let parts = parts.into_iter().filter(|part| !part.trim().is_empty());
+    parts
+        .flat_map(|part| opened(&format!("{start}{}", part.trim())))
+        .collect()
+}
+
+/// Paths from the crate's root that a module names, in `use` and in place; what it only shows
+/// again (`pub use`) if `shown`.
+fn named(module: &str, text: &str, shown: bool) -> Vec<String> {
+    let code: Vec<&str> = text
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"))
         .collect();
-    assert!(wrong.is_empty(), "broken laws:\n{}", wrong.join("\n"));
+    let code = code.join("\n");
+    let mut paths = Vec::new();
+    let uses = code.split("\n").collect::<Vec<_>>().join(" ");
+    for statement in uses.split(';') {
+        let statement = statement.trim();
+        let Some(at) = statement.rfind("use ") else {
+            continue;
+        };
+        let before = statement[..at].trim_end();
+        let again = before.ends_with("pub") || before.ends_with(')');
+        if before.is_empty() || before.ends_with(['{', '}', ']']) || again && shown {
+            paths.extend(opened(statement[at + 4..].trim()));
+        }
+    }
+    for start in ["crate::", "super::"] {
+        for (at, _) in code.match_indices(start) {
+            let rest: String = code[at..]
+                .chars()
+                .take_while(|c| c.is_alphanumeric() || "_:".contains(*c))
+                .collect();
+            if !rest.ends_with(':') {
+                paths.push(rest);
+            }
+        }
+    }
+    paths
+        .into_iter()
+        .filter_map(|path| {
+            if let Some(path) = path.strip_prefix("crate::") {
+                return Some(path.to_owned());
+            }
+            let mut base: Vec<&str> = module.split("::").collect();
+            let mut rest = path.as_str();
+            if !rest.starts_with("super::") && !rest.starts_with("self::") {
+                // Of its own child.
+                return Some(format!("{module}::{rest}"));
+            }
+            while let Some(further) = rest.strip_prefix("super::") {
+                base.pop();
+                rest = further;
+            }
+            rest = rest.strip_prefix("self::").unwrap_or(rest);
+            base.push(rest);
+            Some(base.join("::"))
+        })
+        .collect()
 }
 
-/// An exception whose file or function is gone would hide the next one.
-#[test]
-fn every_exception_is_still_needed() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let read = |path: &str| fs::read_to_string(root.join(path)).unwrap_or_default();
-    for (path, name, why) in LONG_FUNCTIONS {
-        let code = code_of(&read(path));
-        let long = |f: &(&str, usize, usize)| f.0 == *name && f.2 > MOST_LINES_OF_A_FUNCTION;
-        assert!(
-            functions(&code).iter().any(long) && !why.is_empty(),
-            "{path}: {name}"
-        );
+/// The file in which what a path names is written: re-exports are followed.
+fn file_of(path: &str, files: &BTreeMap<String, String>) -> Option<String> {
+    let mut end = path.len();
+    let file = loop {
+        if files.contains_key(&path[..end]) {
+            break &path[..end];
+        }
+        end = path[..end].rfind("::")?;
+    };
+    let Some(name) = path[end..].strip_prefix("::") else {
+        return Some(file.to_owned());
+    };
+    let name = name.split("::").next().unwrap_or(name);
+    let reexport = named(file, &files[file], true).into_iter().find(|path| {
+        path.starts_with(&format!("{file}::"))
+            && path.ends_with(&format!("::{name}"))
+            && path.matches("::").count() > file.matches("::").count() + 1
+    });
+    match reexport {
+        Some(shown) if shown != path => file_of(&shown, files),
+        _ => Some(file.to_owned()),
     }
 }
 
-fn assert_found(path: &str, text: &str, words: &str) {
-    let found = violations(path, text);
-    assert!(
-        found.len() == 1 && found[0].contains(words),
-        "{path}: {text:?} gave {found:?}, expected one with {words:?}"
-    );
+fn imports() -> BTreeMap<String, BTreeSet<String>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = BTreeMap::new();
+    read(&root, &root, &mut files);
+    assert!(files.len() > 100, "{}", files.len());
+    let of = |module: &String, text: &String| {
+        let paths = named(module, text, false).into_iter();
+        let found = paths.filter_map(|path| file_of(&path, &files));
+        found.filter(|other| other != module).collect()
+    };
+    let imports = files
+        .iter()
+        .map(|(module, text)| (module.clone(), of(module, text)));
+    imports.collect()
 }
 
 #[test]
-fn a_broken_import_law_is_found() {
-    assert_found(
-        "src/profile/peak.rs",
-        "use crate::scene::Scene;",
-        "`profile` must not import `scene`",
-    );
-    assert_found(
-        "src/mesh/mod.rs",
-        "fn f() { crate::accel::g() }",
-        "import `accel`",
-    );
-    assert_found(
-        "src/laser/mod.rs",
-        "use crate::{math::{A, B}, camera};",
-        ":1: `laser` must not",
-    );
-    assert_found(
-        "src/speckle/a/b.rs",
-        "\nuse super::super::super::accel::A;",
-        ":2: `speckle`",
-    );
-    assert_found("src/surface.rs", "use super::laser;", "import `laser`");
-    assert_found("src/novelty/mod.rs", "", "no place");
-    assert_found(
-        "src/main.rs",
-        "fn main() { lasertrace::mesh::load() }",
-        "import `mesh`",
-    );
-    assert_found(
-        "src/main.rs",
-        "fn main() { lasertrace::cli::run() }\nfn g() {}",
-        "more than call",
-    );
-    let fine = "// use crate::scene;\nuse crate::mesh::{a, b};\nuse super::embree::{c};\n";
-    assert_eq!(violations("src/accel/x.rs", fine), [""; 0]);
+fn rooms_import_downwards() {
+    let place = |name: &str| ROOMS.iter().position(|room| *room == name);
+    let mut wrong = Vec::new();
+    for (module, others) in imports() {
+        let own = room(&module);
+        let own_place = place(own).unwrap_or_else(|| panic!("room {own} has no place in ROOMS"));
+        for other in others {
+            let theirs = room(&other);
+            let forbidden = FORBIDDEN
+                .iter()
+                .find(|(room, others, _)| *room == own && others.contains(&theirs));
+            if place(theirs).is_some_and(|theirs| theirs > own_place) {
+                wrong.push(format!("{module} imports {other}, which stands above it"));
+            } else if let Some((_, _, why)) = forbidden {
+                wrong.push(format!("{module} imports {other}: {why}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// What a file imports of its own room, and what that imports.
+fn reached(module: &str, imports: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<String> {
+    let mut reached = BTreeSet::new();
+    let mut next = vec![module.to_owned()];
+    while let Some(here) = next.pop() {
+        let others = imports.get(&here).into_iter().flatten();
+        for other in others.filter(|other| room(other) == room(module)) {
+            if reached.insert(other.clone()) {
+                next.push(other.clone());
+            }
+        }
+    }
+    reached
 }
 
 #[test]
-fn a_careless_unsafe_is_found() {
-    let careless = "fn f() {\n    let a = 1;\n    unsafe { g(a) }\n}\n";
-    assert_found("src/accel/embree.rs", careless, ":3: unsafe without");
-    assert_found("src/camera/mod.rs", careless, ":3: unsafe outside");
-    assert_found(
-        "src/accel/refine.rs",
-        "// SAFETY: no.\nunsafe impl Send for A {}",
-        "outside",
-    );
-    let one_for_two = "// SAFETY: a.\nlet a = unsafe { f() };\nlet b = unsafe { g() };\n";
-    assert_found("src/capi.rs", one_for_two, ":3: unsafe without");
-    let careful = "// SAFETY: a\n// and b.\nlet c =\n    unsafe { f() };\nlet d = unsafe {\n    \
-                   // SAFETY: e.\n    f()\n};\nunsafe extern \"C\" fn g() {}\n";
-    assert_eq!(violations("src/accel/embree_more.rs", careful), [""; 0]);
+fn files_do_not_import_each_other_in_circles() {
+    let imports = imports();
+    let reached: BTreeMap<&String, BTreeSet<String>> =
+        imports.keys().map(|m| (m, reached(m, &imports))).collect();
+    let mut circles = BTreeSet::new();
+    for (module, others) in &reached {
+        if others.contains(*module) {
+            let with = others.iter().filter(|o| reached[*o].contains(*module));
+            circles.insert(with.cloned().collect::<Vec<_>>().join(", "));
+        }
+    }
+    let circles: Vec<String> = circles.into_iter().collect();
+    assert!(circles.is_empty(), "circles of files:\n{}", circles.join("\n"));
 }
 
 #[test]
-fn what_is_too_long_is_found() {
-    let body = "    // one line\n".repeat(68);
-    let fits = format!(
-        "fn fits(a: [u8; 2]) {{\n{}}}\n",
-        &body["    // one line\n".len()..]
-    );
-    assert_eq!(violations("src/math/a.rs", &fits), [""; 0]);
-    let long = format!("fn fits();\nfn long(a: [u8; 2]) {{\n{body}}}\n");
-    assert_found("src/math/a.rs", &long, ":2: fn long of 70 lines");
-    let quoted =
-        format!("fn long() {{\n    let (a, b, c) = ('}}', \"}}\", r#\"\"}}\"#);\n{body}}}\n");
-    assert_found("src/math/a.rs", &quoted, "fn long of 71 lines");
+fn hot_rooms_do_no_input_output_and_take_no_locks() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = BTreeMap::new();
+    read(&root, &root, &mut files);
+    for (module, text) in files
+        .iter()
+        .filter(|(module, _)| HOT.contains(&room(module)))
+    {
+        for word in NOT_IN_HOT {
+            assert!(!text.contains(word), "{module} names {word}");
+        }
+    }
 }
 
+/// The two ways a path is found, on text whose answer is known.
 #[test]
-fn who_speaks_or_locks_out_of_turn_is_found() {
-    let speech = "fn f() {\n    eprintln!(\"{}\", 1);\n}\n";
-    assert_found("src/batch/scan.rs", speech, ":2: eprintln!");
-    assert_eq!(violations("src/cli/scan.rs", speech), [""; 0]);
-    assert_eq!(violations("src/batch/scan/tests.rs", speech), [""; 0]);
-    assert_found(
-        "src/inspect/mod.rs",
-        "fn f() { std::process::exit(1) }",
-        "process::exit",
+fn imports_are_found() {
+    let text =
+        "use super::a::{B, c::{self, D}};\n// use crate::x::Y;\nfn f() { crate::math::g() }\n";
+    let found = named("room::file", text, false);
+    assert_eq!(
+        found,
+        [
+            "room::a::B",
+            "room::a::c::self",
+            "room::a::c::D",
+            "math::g"
+        ]
     );
-    assert_found(
-        "src/integrator/direct.rs",
-        "static A: std::sync::Mutex<u8>;",
-        "Mutex",
-    );
-    assert_found("src/speckle/lookup.rs", "use std::fs::File;", "std::fs");
-    assert_eq!(violations("src/mesh/mod.rs", "use std::fs;"), [""; 0]);
 }

@@ -1,6 +1,8 @@
 //! Embree behind the shim of `ffi/`. Vertices are centred on the mesh before they
 //! are narrowed to f32, so that a far-off part costs no digits.
 
+#![allow(unsafe_code)]
+
 use super::embree_device::{Device, ffi};
 use super::hierarchy::{PartBox, Side};
 use super::quads::Quads;

@@ -1,5 +1,7 @@
 //! Embree's device, its errors, and the version that is loaded.
 
+#![allow(unsafe_code)]
+
 use crate::error::{Error, Result};
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::{Arc, Mutex};

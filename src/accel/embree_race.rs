@@ -1,6 +1,8 @@
 //! Embree called bare, and in ways lasertrace does not use, for the race: rays in
 //! f32 as they are, one or 16 at a time, robust or fast, its memory counted.
 
+#![allow(unsafe_code)]
+
 use super::WIDTH;
 use super::embree::{Tree, Valid};
 use super::embree_device::{Device, ffi};
