@@ -3,10 +3,11 @@
 //! frame's field; and of making a ring of slices. Each answer is checked.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
 use lasertrace::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
-use lasertrace::speckle::pattern::{Aperture, PatternSpec};
+use lasertrace::speckle::pattern::PatternSpec;
 use std::hint::black_box;
 
 /// The demo's pixels in a row.

@@ -263,7 +263,11 @@ fn files_do_not_import_each_other_in_circles() {
         }
     }
     let circles: Vec<String> = circles.into_iter().collect();
-    assert!(circles.is_empty(), "circles of files:\n{}", circles.join("\n"));
+    assert!(
+        circles.is_empty(),
+        "circles of files:\n{}",
+        circles.join("\n")
+    );
 }
 
 #[test]
@@ -289,11 +293,6 @@ fn imports_are_found() {
     let found = named("room::file", text, false);
     assert_eq!(
         found,
-        [
-            "room::a::B",
-            "room::a::c::self",
-            "room::a::c::D",
-            "math::g"
-        ]
+        ["room::a::B", "room::a::c::self", "room::a::c::D", "math::g"]
     );
 }

@@ -2,10 +2,10 @@
 //! paths, and images against the law.
 
 use lasertrace::batch::Simulation;
-use lasertrace::camera::{Aperture as Pupil, Camera, Lens, Sensor};
+use lasertrace::camera::{Camera, Lens, Sensor};
+use lasertrace::math::Aperture;
 use lasertrace::math::{DVec2, DVec3};
 use lasertrace::scene::Scene;
-use lasertrace::speckle::pattern::Aperture;
 use random::Random;
 use std::f64::consts::{PI, TAU};
 use tilted::{drawn_tilt, load, mean_and_error};
@@ -33,7 +33,7 @@ fn camera(random: &mut Random) -> Camera {
             focal_length: 20.0,
             f_number: 40.0,
             focus_distance: 200.0,
-            aperture: Pupil::Circle,
+            aperture: Aperture::Circle,
             distortion: None,
         },
         sensor: Sensor {

@@ -2,8 +2,9 @@
 //! reconstructed through square apertures of three sizes, and the pattern of
 //! the same aperture, both put through the same estimators.
 
+use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
-use lasertrace::speckle::pattern::{Aperture, PatternSpec, PhasorPlane};
+use lasertrace::speckle::pattern::{PatternSpec, PhasorPlane};
 use rayon::prelude::*;
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex32;

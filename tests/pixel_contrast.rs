@@ -5,9 +5,9 @@ mod program;
 
 use lasertrace::batch::Simulation;
 use lasertrace::integrator::Plan;
+use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
 use lasertrace::scene::Scene;
-use lasertrace::speckle::pattern::Aperture;
 use lasertrace::speckle::theory::{integrated_contrast, sampled_contrast, sampling_deviation};
 use program::folder_with;
 use std::path::Path;

@@ -1,10 +1,11 @@
 //! Speckle seen from outside: what is read through a lookup has the statistics
 //! theory asks for. Seeds are fixed.
 
+use lasertrace::math::Aperture;
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
-use lasertrace::speckle::pattern::{Aperture, PatternSpec};
+use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::slices::Slices;
 use lasertrace::speckle::statistics::measure;
 use lasertrace::speckle::theory::{
@@ -29,7 +30,7 @@ fn patterns_have_the_statistics_of_theory() {
         texels_per_speckle: 2.0,
         ..SPEC
     };
-    let ellipse = Aperture::Ellipse { ratio: 0.5 };
+    let ellipse = Aperture::Ellipse(0.5);
     let apertures = [ellipse, Aperture::Square].map(|aperture| PatternSpec { aperture, ..coarse });
     for spec in [
         PatternSpec { slices: 16, ..SPEC },

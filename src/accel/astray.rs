@@ -13,7 +13,7 @@
 //! that meets nothing would double their cost.
 
 use super::embree::Tree;
-use super::hierarchy::{PartBox, Side};
+use super::part_box::{PartBox, Side};
 use super::refine::{Refined, across, refine};
 use super::watertight::Sheared;
 use super::{Hit, Ray, WIDTH};

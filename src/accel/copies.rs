@@ -4,7 +4,7 @@
 //! they are entered with f32 rays relative to one middle of all.)
 
 use super::clusters::HalfSpace;
-use super::hierarchy::PartBox;
+use super::part_box::PartBox;
 use super::rust_bvh::tree_over;
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3, Rigid};

@@ -4,7 +4,7 @@
 #![allow(unsafe_code)]
 
 use super::embree_device::{Device, ffi};
-use super::hierarchy::{PartBox, Side};
+use super::part_box::{PartBox, Side};
 use super::quads::Quads;
 use super::refine::nearest_on_triangle;
 use super::{Face, Nearest, Ray, WIDTH};

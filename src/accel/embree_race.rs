@@ -6,7 +6,7 @@
 use super::WIDTH;
 use super::embree::{Tree, Valid};
 use super::embree_device::{Device, ffi};
-use super::hierarchy::PartBox;
+use super::part_box::PartBox;
 use crate::error::Result;
 use crate::mesh::Mesh;
 use std::ffi::c_void;

@@ -16,6 +16,7 @@ mod embree_device;
 #[cfg(feature = "race")]
 pub mod embree_race;
 mod hierarchy;
+mod part_box;
 #[cfg(feature = "embree")]
 mod quads;
 mod refine;

@@ -3,7 +3,7 @@
 //! f32 rounds, and the test of a triangle is watertight, so a ray at a shared edge
 //! or vertex meets one of the triangles there.
 
-use super::hierarchy::PartBox;
+use super::part_box::PartBox;
 use super::refine::nearest_on_triangle;
 use super::watertight::Sheared;
 use super::{Face, Nearest, Ray};

@@ -7,6 +7,7 @@ use crate::camera::CameraModel;
 use crate::error::Result;
 use crate::frame::{Patterns, Reference, Speckle, Strips};
 use crate::integrator::plan::SpeckleStep;
+use crate::math::Aperture;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
@@ -15,7 +16,7 @@ use crate::speckle::frame_field::{FrameFields, field_spec};
 use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::path::PathAnchor;
-use crate::speckle::pattern::{Aperture, PatternSpec};
+use crate::speckle::pattern::PatternSpec;
 use crate::speckle::strips::Strip;
 
 pub struct ScanSpeckle {

@@ -6,6 +6,7 @@ use super::{Control, files};
 use crate::accel::Ray;
 use crate::error::{Error, Result};
 use crate::inspect::picture::encode_for_eyes;
+use crate::math::Aperture;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::scene::Scene;
@@ -13,7 +14,6 @@ use crate::speckle::anchor::rotation_vector;
 use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{Motion, SurfaceView};
-use crate::speckle::pattern::Aperture;
 use crate::speckle::wave::{
     ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
 };

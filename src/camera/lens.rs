@@ -1,17 +1,8 @@
 //! Thin lens, perhaps a distorting one.
 
 use super::Distortion;
+use crate::math::Aperture;
 use std::f64::consts::PI;
-
-/// Shape of the pupil; its width is the pupil diameter.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Aperture {
-    Circle,
-    /// Height / width, in (0, 1].
-    Ellipse(f64),
-    Square,
-}
 
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lens {

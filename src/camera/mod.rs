@@ -18,7 +18,7 @@ pub use chief_rays::ChiefRays;
 pub use counts::Counts;
 pub use dark::DarkCounts;
 pub use distortion::Distortion;
-pub use lens::{Aperture, Lens};
+pub use lens::Lens;
 pub use model::{CameraModel, Projector};
 pub use sensor::{Noise, Sensor};
 
@@ -175,7 +175,7 @@ pub(crate) fn fixture() -> Camera {
             focal_length: 25.0,
             f_number: 8.0,
             focus_distance: 240.0,
-            aperture: Aperture::Circle,
+            aperture: crate::math::Aperture::Circle,
             distortion: None,
         },
         sensor: Sensor {

@@ -2,7 +2,8 @@ use super::{Output, STOP};
 use crate::batch::{self, Control, SpeckleSummary};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::speckle::pattern::{Aperture, PatternSpec};
+use crate::math::Aperture;
+use crate::speckle::pattern::PatternSpec;
 use crate::speckle::statistics::Check;
 use std::path::PathBuf;
 
@@ -43,9 +44,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         texels_per_speckle: arguments.texels_per_speckle,
         aperture: match arguments.aperture {
             Shape::Circle => Aperture::Circle,
-            Shape::Ellipse => Aperture::Ellipse {
-                ratio: arguments.ratio,
-            },
+            Shape::Ellipse => Aperture::Ellipse(arguments.ratio),
             Shape::Square => Aperture::Square,
         },
         slices: arguments.slices,

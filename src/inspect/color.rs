@@ -1,8 +1,6 @@
 //! Colours that stand for numbers: told apart by people who do not tell red from
 //! green, and in grey.
 
-use super::coverage::Fate;
-
 pub type Rgb = [u8; 3];
 
 fn between(stops: &[[f64; 3]], share: f64) -> Rgb {
@@ -35,16 +33,6 @@ pub fn sequential(value: f64, limit: f64) -> Rgb {
         [8.0, 20.0, 70.0],
     ];
     between(&STOPS, value / limit)
-}
-
-pub fn of_fate(fate: Fate) -> Rgb {
-    match fate {
-        Fate::Measured => [27, 158, 119],
-        Fate::WeakSignal => [230, 171, 2],
-        Fate::HiddenFromCamera => [117, 112, 179],
-        Fate::HiddenFromLaser => [120, 120, 120],
-        Fate::OutsideScan => [205, 205, 205],
-    }
 }
 
 pub fn css([r, g, b]: Rgb) -> String {

@@ -2,7 +2,7 @@
 //! than read.
 
 use super::chart::{share_bar, short};
-use super::color::{Rgb, css, of_fate};
+use super::color::{Rgb, css};
 use super::coverage::{Fate, SurfaceCoverage};
 use super::deviation::DeviationStatistics;
 use super::flags::FlagCount;
@@ -224,6 +224,17 @@ impl ColorMap {
             );
         }
         html.push_str("</div>");
+    }
+}
+
+/// The colour of a fate.
+pub fn of_fate(fate: Fate) -> Rgb {
+    match fate {
+        Fate::Measured => [27, 158, 119],
+        Fate::WeakSignal => [230, 171, 2],
+        Fate::HiddenFromCamera => [117, 112, 179],
+        Fate::HiddenFromLaser => [120, 120, 120],
+        Fate::OutsideScan => [205, 205, 205],
     }
 }
 

@@ -4,7 +4,7 @@
 use super::height_error::{HeightError, PROMISED_SHARE};
 use super::plan::Plan;
 use crate::frame::Sampling;
-use crate::speckle::pattern::Aperture;
+use crate::math::Aperture;
 use serde::Serialize;
 
 /// What was promised, and what is predicted.

@@ -8,9 +8,9 @@ use super::grain_extent::GrainExtent;
 use super::in_view::Optics;
 use crate::frame::Sampling;
 use crate::frame::sampling_error;
+use crate::math::Aperture;
 use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
-use crate::speckle::pattern::Aperture;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 use serde::Serialize;
 

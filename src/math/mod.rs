@@ -1,9 +1,11 @@
-//! Frames, boxes, stateless random numbers and quadrature.
+//! Frames, boxes, pupils' shapes, stateless random numbers and quadrature.
 
+mod aperture;
 pub mod frames;
 pub mod quadrature;
 pub mod rng;
 
+pub use aperture::Aperture;
 pub use frames::Rigid;
 pub use glam::{DMat2, DMat3, DVec2, DVec3};
 
@@ -57,4 +59,10 @@ impl Aabb {
             )
         })
     }
+}
+
+/// sin(πr)/(πr), 1 at 0.
+pub fn sinc(r: f64) -> f64 {
+    let x = std::f64::consts::PI * r;
+    if x.abs() < 1e-6 { 1.0 } else { x.sin() / x }
 }

@@ -36,8 +36,7 @@ pub type Parameters = [f64; PARAMETERS.len()];
 /// Row by row, in products of the parameters' units.
 pub type Covariance = [Parameters; PARAMETERS.len()];
 
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-#[serde(into = "super::calibration_file::CalibrationFile")]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     pub camera: CameraModel,
     pub head_from_camera: Rigid,

@@ -6,7 +6,7 @@ use crate::camera::{CameraModel, Distortion};
 use crate::error::{Error, InputError, Place, Result};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::{DQuat, UVec2};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use std::path::Path;
 
 #[derive(Serialize, Deserialize)]
@@ -68,8 +68,14 @@ struct UncertaintyFile {
     correlation: Vec<Vec<f64>>,
 }
 
-impl From<Calibration> for CalibrationFile {
-    fn from(calibration: Calibration) -> CalibrationFile {
+impl Serialize for Calibration {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        CalibrationFile::from(self).serialize(serializer)
+    }
+}
+
+impl From<&Calibration> for CalibrationFile {
+    fn from(calibration: &Calibration) -> CalibrationFile {
         let camera = &calibration.camera;
         let pose = &calibration.head_from_camera;
         let turn = rotation_vector(&pose.rotation);

@@ -1,7 +1,8 @@
 //! The lines of a frame, column by column, and what is doubtful about them.
 
 use super::background::{Background, Histogram, background, detection_sigmas};
-use super::locate::{Line, Located, WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
+use super::line::{Line, Located};
+use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
 use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
 use super::{Choice, Flags, Peak, PeakSettings};
@@ -16,8 +17,6 @@ pub const WIDE_RATIO: f64 = 2.0;
 pub const WEAK_SHARE: f64 = 0.05;
 /// A line is weak below this many times the background's noise.
 pub const WEAK_SNR: f64 = 10.0;
-/// Two columns' lines are apart beyond this many line widths between their ends.
-pub const JUMP_SIGMAS: f64 = 3.0;
 
 /// A line that is narrower, over five columns, than this share of those around, or these than
 /// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.

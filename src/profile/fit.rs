@@ -1,6 +1,6 @@
 //! Least squares with few parameters.
 
-use super::locate::{Line, Located};
+use super::line::{Line, Located};
 use std::f64::consts::{PI, SQRT_2};
 
 /// Solves the symmetric positive definite a·x = b by Cholesky's factorisation;

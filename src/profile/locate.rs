@@ -1,8 +1,8 @@
 //! Where the line lies in its pixels.
 
 use super::PeakFinder;
-use super::background::Background;
 use super::fit::{gaussian_fit, solve};
+use super::line::{Line, Located};
 
 /// Half width of the centroid's window, in standard deviations of the line. At 3
 /// the pixels that the window's ends cut still hold enough light, unevenly, to
@@ -11,26 +11,6 @@ pub(super) const WINDOW_SIGMAS: f64 = 4.0;
 
 /// Variance that integration over a pixel adds to the line's, px².
 pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
-
-/// A line of a column, as it was detected.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Line<'a> {
-    pub column: &'a [u16],
-    pub background: Background,
-    /// Row of the highest pixel, and its height above background.
-    pub top: usize,
-    pub height: f64,
-    /// Standard deviation by the width at half height.
-    pub sigma: f64,
-    pub max_count: u16,
-}
-
-/// Row and standard deviation of a line.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Located {
-    pub row: f64,
-    pub sigma: f64,
-}
 
 /// The line's place and the sum of its counts above background. A finder that
 /// finds no line of its model's shape (too few pixels that are lit and not

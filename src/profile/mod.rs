@@ -17,6 +17,7 @@ mod find;
 mod fit;
 mod horizon;
 mod influence;
+mod line;
 mod locate;
 mod neighbourhood;
 mod normal;
@@ -32,11 +33,11 @@ pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::blinding_height;
 pub use find::{
-    CANDIDATE_SHARE, JUMP_SIGMAS, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO,
-    compare_neighbours, find_peaks,
+    CANDIDATE_SHARE, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, find_peaks,
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use residual_picture::residual_picture;
+pub use slope::JUMP_SIGMAS;
 pub use uncertainty::{
     ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,
 };

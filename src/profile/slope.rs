@@ -1,7 +1,10 @@
 //! How a line runs from column to column. Where the surface is steep it climbs many rows
 //! within one column, and what a column sees of it is long for no other reason.
 
-use super::{Flags, JUMP_SIGMAS, Peak};
+use super::{Flags, Peak};
+
+/// Two columns' lines are apart beyond this many line widths between their ends.
+pub const JUMP_SIGMAS: f64 = 3.0;
 
 /// Variance of the rows of a straight line over a column in which it climbs by one row.
 pub(super) const VARIANCE_OF_A_CLIMB: f64 = 1.0 / 12.0;

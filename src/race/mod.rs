@@ -13,17 +13,16 @@ mod table;
 pub use plot::plot;
 pub use table::table;
 
-use crate::accel::embree_race::{FlatHit, FlatRay};
-use crate::accel::{Accel, Backend, Ray, brute};
+use crate::accel::embree_race::FlatHit;
+use crate::accel::{Accel, Backend, brute};
 use crate::error::Result;
-use crate::math::DVec3;
 use crate::mesh::Mesh;
 use aimed::{AimedRays, Asked};
 use laps::{Answers, all_threads, one_thread};
 use peak_alloc::PeakAlloc;
 use racers::{Entrant, Racer};
 use rayon::prelude::*;
-use rays::RaySet;
+use rays::{RaySet, exact};
 use serde::Serialize;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -355,16 +354,6 @@ fn centred(mesh: &Mesh) -> Mesh {
             .map(|&p| (p - center).as_vec3().as_dvec3())
             .collect(),
         triangles: mesh.triangles.clone(),
-    }
-}
-
-/// A ray with the numbers of `flat`, which f64 holds.
-fn exact(flat: &FlatRay) -> Ray {
-    let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-    Ray {
-        origin: wide(flat.origin),
-        direction: wide(flat.direction),
-        t_max: flat.t_max.into(),
     }
 }
 

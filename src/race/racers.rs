@@ -1,7 +1,7 @@
 //! Who races, each called the way its documentation says, with triangles in the
 //! order of its leaves where it wants that.
 
-use super::exact;
+use super::rays::exact;
 use crate::accel::embree_race::{BareEmbree, FlatHit, FlatRay};
 use crate::accel::{Accel, Backend, WIDTH};
 use crate::error::Result;

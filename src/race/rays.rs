@@ -117,3 +117,13 @@ pub fn flat(ray: &Ray) -> FlatRay {
         t_max: ray.t_max as f32,
     }
 }
+
+/// A ray with the numbers of `flat`, which f64 holds.
+pub fn exact(flat: &FlatRay) -> Ray {
+    let wide = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
+    Ray {
+        origin: wide(flat.origin),
+        direction: wide(flat.direction),
+        t_max: flat.t_max.into(),
+    }
+}

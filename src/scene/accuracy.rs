@@ -1,49 +1,11 @@
 //! What a scene says of how well it is to be simulated: a tolerance, and methods by
 //! name.
 
-use super::resolve::Resolver;
-use crate::accel::Backend;
+use super::file::{AccuracyTable, PlanTable};
+use super::resolver::Resolver;
 use crate::error::Result;
-use crate::frame::Sampling;
 use crate::integrator::plan::MAX_SAMPLES_PER_SIDE;
 use crate::laser::CUTOFF_RADII;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// How far results may be from those of the full model. Without it nothing that the
-/// scene asks for is left out.
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct AccuracyTable {
-    /// Greatest error of height, µm, that the simulation may add in 99 of 100 points:
-    /// what moves heights by less is left out, and the cheapest methods that are good
-    /// enough are taken.
-    pub height_um: Option<f64>,
-}
-
-/// Methods to use whatever the plan would choose. Default: the plan chooses.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct PlanTable {
-    /// Profiles from laser rays and what the camera sees of them, without images.
-    pub geometry_only: Option<bool>,
-    /// Whether speckle is modelled if the scene has it.
-    pub speckle: Option<bool>,
-    /// Whether the pattern slips on surfaces out of focus; takes speckle by field and a
-    /// path that does not turn.
-    pub speckle_slips: Option<bool>,
-    /// Whether the sensor's noise is modelled if the scene has it.
-    pub noise: Option<bool>,
-    /// Samples along each side of a pixel, 1 to 16.
-    pub samples_per_side: Option<u32>,
-    /// Where the samples of a pixel come from: `planes` (one ray where the surface is
-    /// flat) or `rays` (one for each).
-    pub sampling: Option<Sampling>,
-    /// Beam radii at which light is taken to end, 1 to 4.
-    pub cutoff_radii: Option<f64>,
-    /// What finds the triangles rays meet.
-    pub accel: Option<Backend>,
-}
 
 impl Resolver<'_> {
     pub(super) fn tolerance(&self, table: &AccuracyTable) -> Result<Option<f64>> {

@@ -1,8 +1,10 @@
 //! The scene file as written: TOML, millimetres unless the key says otherwise.
 //! The doc comments here become the descriptions in the JSON Schema.
 
-use super::accuracy::{AccuracyTable, PlanTable};
 use super::unit::Unit;
+use crate::accel::Backend;
+use crate::frame::Sampling;
+use crate::math::Aperture;
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -181,7 +183,7 @@ pub struct CameraTable {
     /// height / width. Its width is the focal length over the f-number. Default:
     /// circle.
     #[serde(default)]
-    pub aperture: ApertureShape,
+    pub aperture: Aperture,
     /// Distance along the axis from the lens to the plane in focus.
     pub focus_distance_mm: f64,
     /// Columns, rows.
@@ -237,16 +239,6 @@ pub struct DistortionTable {
     pub p1: f64,
     /// The same across the columns.
     pub p2: f64,
-}
-
-#[derive(Debug, Clone, Copy, Default, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum ApertureShape {
-    #[default]
-    Circle,
-    /// Height / width, above 0 and at most 1.
-    Ellipse(f64),
-    Square,
 }
 
 /// The path of the scan: straight (`step_mm` and `direction`), or one of `rotary`
@@ -364,4 +356,39 @@ pub fn schema() -> String {
 
 pub(super) fn schema_value() -> serde_json::Value {
     schemars::schema_for!(SceneFile).to_value()
+}
+
+/// How far results may be from those of the full model. Without it nothing that the
+/// scene asks for is left out.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct AccuracyTable {
+    /// Greatest error of height, µm, that the simulation may add in 99 of 100 points:
+    /// what moves heights by less is left out, and the cheapest methods that are good
+    /// enough are taken.
+    pub height_um: Option<f64>,
+}
+
+/// Methods to use whatever the plan would choose. Default: the plan chooses.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlanTable {
+    /// Profiles from laser rays and what the camera sees of them, without images.
+    pub geometry_only: Option<bool>,
+    /// Whether speckle is modelled if the scene has it.
+    pub speckle: Option<bool>,
+    /// Whether the pattern slips on surfaces out of focus; takes speckle by field and a
+    /// path that does not turn.
+    pub speckle_slips: Option<bool>,
+    /// Whether the sensor's noise is modelled if the scene has it.
+    pub noise: Option<bool>,
+    /// Samples along each side of a pixel, 1 to 16.
+    pub samples_per_side: Option<u32>,
+    /// Where the samples of a pixel come from: `planes` (one ray where the surface is
+    /// flat) or `rays` (one for each).
+    pub sampling: Option<Sampling>,
+    /// Beam radii at which light is taken to end, 1 to 4.
+    pub cutoff_radii: Option<f64>,
+    /// What finds the triangles rays meet.
+    pub accel: Option<Backend>,
 }

@@ -9,10 +9,10 @@ mod part;
 mod path;
 mod poses;
 mod resolve;
+mod resolver;
 mod unit;
 
-pub use accuracy::PlanTable;
-pub use file::{Moves, SceneFile, schema};
+pub use file::{Moves, PlanTable, SceneFile, schema};
 pub use path::{Motion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};

@@ -1,15 +1,15 @@
 //! Laser, camera and speckle of a scene file, validated.
 
 use super::file::{
-    ApertureShape, CameraTable, DistortionTable, LaserTable, ProfileName, SceneFile, SpeckleMethod,
+    CameraTable, DistortionTable, LaserTable, ProfileName, SceneFile, SpeckleMethod,
 };
-use super::resolve::{Resolver, SpeckleModel};
-use crate::camera::{Aperture, Camera, Distortion, Lens, Noise, Sensor};
+use super::resolve::SpeckleModel;
+use super::resolver::Resolver;
+use crate::camera::{Camera, Distortion, Lens, Noise, Sensor};
 use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
-use crate::math::{DVec2, DVec3, Rigid};
+use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::speckle::pattern;
 use glam::UVec2;
 
 impl Resolver<'_> {
@@ -122,11 +122,7 @@ impl Resolver<'_> {
                 polarisation_degree,
                 independent_patterns: patterns as usize,
             },
-            aperture: match camera.lens.aperture {
-                Aperture::Circle => pattern::Aperture::Circle,
-                Aperture::Ellipse(ratio) => pattern::Aperture::Ellipse { ratio },
-                Aperture::Square => pattern::Aperture::Square,
-            },
+            aperture: camera.lens.aperture,
         }))
     }
 
@@ -136,11 +132,7 @@ impl Resolver<'_> {
             focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
             f_number: positive(table.f_number, "f_number")?,
             focus_distance: positive(table.focus_distance_mm, "focus_distance_mm")?,
-            aperture: match table.aperture {
-                ApertureShape::Circle => Aperture::Circle,
-                ApertureShape::Ellipse(ratio) => Aperture::Ellipse(ratio),
-                ApertureShape::Square => Aperture::Square,
-            },
+            aperture: table.aperture,
             distortion: None,
         };
         self.within(lens.f_number, "camera.f_number", [0.1, 1e4])?;

@@ -2,7 +2,7 @@
 
 use super::file::{Moves, RotaryTable, ScanTable};
 use super::poses;
-use super::resolve::Resolver;
+use super::resolver::Resolver;
 use crate::error::Result;
 use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;

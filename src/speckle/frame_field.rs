@@ -10,9 +10,10 @@
 
 use super::coordinate::GrainMap;
 use super::fixed::{Period, REACH};
-use super::lookup::{Coherence, Layer};
-use super::pattern::{Aperture, Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
+use super::method::{Coherence, Layer};
+use super::pattern::{Columns, PatternSpec, PhasorPlane, ROWS, carrier, rows_of};
 use crate::error::Result;
+use crate::math::Aperture;
 use crate::math::DVec2;
 use glam::{Vec2, Vec4, Vec4Swizzles};
 use rayon::prelude::*;

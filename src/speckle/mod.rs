@@ -10,9 +10,11 @@
 
 pub mod anchor;
 pub mod coordinate;
+mod estimate;
 mod fixed;
 pub mod frame_field;
 pub mod lookup;
+mod method;
 pub mod motion;
 pub mod path;
 pub mod pattern;

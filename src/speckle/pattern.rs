@@ -8,49 +8,20 @@
 //! and a file would have to be kept true to its spec; so there is no cache on
 //! disk.
 
-use super::theory::sinc;
 use crate::error::{Error, Result};
 use crate::math::rng::{Key, Purpose};
-use crate::math::{DMat2, DVec2};
+use crate::math::sinc;
+use crate::math::{Aperture, DMat2, DVec2};
 use rustfft::num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Shape of the lens aperture. Its width is the pupil diameter D.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Aperture {
-    Circle,
-    /// `ratio` = height / width, in (0, 1]; the grain is 1/`ratio` times as
-    /// long in t as in s.
-    Ellipse {
-        ratio: f64,
-    },
-    Square,
-}
-
 impl Aperture {
-    /// Height / width.
-    pub fn ratio(&self) -> f64 {
-        match *self {
-            Aperture::Ellipse { ratio } => ratio,
-            Aperture::Circle | Aperture::Square => 1.0,
-        }
-    }
-
-    /// Largest extent in any direction, in widths.
-    pub fn extent(&self) -> f64 {
-        match self {
-            Aperture::Square => std::f64::consts::SQRT_2,
-            Aperture::Circle | Aperture::Ellipse { .. } => 1.0,
-        }
-    }
-
     /// Whether `p`, in pupil widths and heights from the centre, is open.
     fn contains(&self, p: DVec2) -> bool {
         match self {
-            Aperture::Circle | Aperture::Ellipse { .. } => p.length_squared() <= 0.25,
+            Aperture::Circle | Aperture::Ellipse(_) => p.length_squared() <= 0.25,
             // Half open: a square d texels wide holds d columns wherever its
             // centre lies, not d + 1 when edges meet texels.
             Aperture::Square => (-0.5..0.5).contains(&p.x) && (-0.5..0.5).contains(&p.y),

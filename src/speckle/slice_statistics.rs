@@ -1,9 +1,9 @@
 //! Slices and their interpolation held against theory.
 
+use super::estimate::{Check, Estimate, realisation};
 use super::lookup::{Coherence, Coordinate, Lookup, Method};
 use super::pattern::PatternSpec;
 use super::slices::Slices;
-use super::statistics::{Check, Estimate, realisation};
 use crate::error::Result;
 use crate::math::rng::{Key, Purpose};
 use rayon::prelude::*;

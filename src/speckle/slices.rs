@@ -11,7 +11,8 @@
 //! elliptical pupil counts in widths along x and heights along y; the path of a
 //! square one turns through all directions, whose laws differ.
 
-use super::pattern::{Aperture, Pattern, PatternSpec, PhasorPlane};
+use super::pattern::{Pattern, PatternSpec, PhasorPlane};
+use crate::math::Aperture;
 use crate::math::DVec2;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
@@ -26,7 +27,7 @@ pub struct Slices {
 /// which for a square slid along its diagonal takes √2 widths.
 fn path_radius(aperture: Aperture) -> f64 {
     match aperture {
-        Aperture::Circle | Aperture::Ellipse { .. } => 0.5,
+        Aperture::Circle | Aperture::Ellipse(_) => 0.5,
         Aperture::Square => FRAC_1_SQRT_2,
     }
 }

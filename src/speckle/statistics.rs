@@ -6,69 +6,18 @@
 //! measured to keep it below a quarter of the tolerance, so that a sound
 //! pattern fails a check by chance with a probability under 1e-4.
 
+pub use super::estimate::Check;
+use super::estimate::{Estimate, realisation};
 use super::pattern::{PatternSpec, PhasorPlane};
 use super::slice_statistics::SliceStatistics;
 use super::spectrum::Spectrum;
-use super::theory::{integrated_contrast, sinc};
+use super::theory::integrated_contrast;
 use crate::error::Result;
 use crate::math::DVec2;
-use crate::math::rng::{Key, Purpose};
+use crate::math::sinc;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use serde::Serialize;
-
-/// One measured figure against theory; `pass` when they differ by no more
-/// than `tolerance`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Check {
-    pub measured: f64,
-    pub theory: f64,
-    pub tolerance: f64,
-    /// Of `measured`, one standard deviation.
-    pub standard_error: f64,
-    pub pass: bool,
-}
-
-impl Check {
-    pub(super) fn new(measured: Estimate, theory: f64, tolerance: f64) -> Check {
-        Check {
-            measured: measured.value,
-            theory,
-            tolerance,
-            standard_error: measured.standard_error,
-            pass: (measured.value - theory).abs() <= tolerance,
-        }
-    }
-}
-
-/// A mean over realisations and its standard error.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Estimate {
-    pub value: f64,
-    pub standard_error: f64,
-}
-
-impl Estimate {
-    pub fn mean(values: &[f64]) -> Estimate {
-        let n = values.len() as f64;
-        let value = values.iter().sum::<f64>() / n;
-        let variance = values.iter().map(|v| (v - value).powi(2)).sum::<f64>() / (n - 1.0);
-        Estimate {
-            value,
-            standard_error: (variance / n).sqrt(),
-        }
-    }
-
-    /// Contrast from its squares.
-    pub fn contrast(squares: &[f64]) -> Estimate {
-        let square = Estimate::mean(squares);
-        let value = square.value.sqrt();
-        Estimate {
-            value,
-            standard_error: square.standard_error / (2.0 * value),
-        }
-    }
-}
 
 /// Everything measured of one pattern spec.
 #[derive(Debug, Clone, Serialize)]
@@ -170,15 +119,6 @@ pub fn measure(spec: &PatternSpec) -> Result<SpeckleStatistics> {
         slices,
         pass,
     })
-}
-
-/// The same spec under the seed of its `index`-th realisation.
-pub(super) fn realisation(spec: &PatternSpec, index: usize) -> PatternSpec {
-    let key = Key::new(spec.seed, Purpose::SpecklePattern);
-    PatternSpec {
-        seed: key.with(index as u64).bits(0),
-        ..*spec
-    }
 }
 
 /// What is kept of each realisation, and the sum of their spectra.

@@ -1,12 +1,12 @@
 //! Patterns laid out in memory as the lookup reads them.
 
 use super::fixed::{FRACTION_BITS, Fixed};
-use super::lookup::Method;
+use super::method::Method;
 use super::pattern::{Pattern, PatternSpec};
 use super::slices::Slices;
 use super::spectrum::Spectrum;
-use super::theory::sinc;
 use crate::math::DVec2;
+use crate::math::sinc;
 use glam::{DVec4, Vec4};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;

@@ -1,9 +1,10 @@
 //! Closed forms for fully developed, polarised speckle: what patterns and
 //! lookups are measured against.
 
-use super::pattern::Aperture;
+use crate::math::Aperture;
 use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
+use crate::math::sinc;
 use glam::DMat2;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::PI;
@@ -17,7 +18,7 @@ impl Aperture {
     pub fn field_correlation(&self, lag: DVec2) -> f64 {
         match *self {
             Aperture::Circle => jinc(lag.length()),
-            Aperture::Ellipse { ratio } => jinc(DVec2::new(lag.x, ratio * lag.y).length()),
+            Aperture::Ellipse(ratio) => jinc(DVec2::new(lag.x, ratio * lag.y).length()),
             Aperture::Square => sinc(lag.x) * sinc(lag.y),
         }
     }
@@ -30,7 +31,7 @@ impl Aperture {
     /// triangles. The correlation γ of the *intensities* is μ².
     pub fn overlap(&self, shift: DVec2) -> f64 {
         match self {
-            Aperture::Circle | Aperture::Ellipse { .. } => {
+            Aperture::Circle | Aperture::Ellipse(_) => {
                 let delta = shift.length().min(1.0);
                 2.0 / std::f64::consts::PI * (delta.acos() - delta * (1.0 - delta * delta).sqrt())
             }
@@ -176,7 +177,7 @@ pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
 pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
     let sigma = sigma.clamp(0.25, 16.0);
     let half = match aperture {
-        Aperture::Ellipse { ratio } => 0.5 * ratio,
+        Aperture::Ellipse(ratio) => 0.5 * ratio,
         _ => 0.5,
     };
     let chord = |x: f64| match aperture {
@@ -251,12 +252,6 @@ fn jinc(r: f64) -> f64 {
     }
 }
 
-/// sin(πr)/(πr), 1 at 0.
-pub(super) fn sinc(r: f64) -> f64 {
-    let x = std::f64::consts::PI * r;
-    if x.abs() < 1e-6 { 1.0 } else { x.sin() / x }
-}
-
 #[cfg(test)]
 #[path = "theory_defocus_tests.rs"]
 mod defocus_tests;
@@ -321,7 +316,7 @@ mod tests {
         let grains = turn * DMat2::from_cols(DVec2::new(0.9, 0.2), DVec2::new(-0.1, 0.4));
         let point = |i: usize| (i as f64 + 0.5) / 16.0;
         let points = || (0..256).map(|i| DVec2::new(point(i % 16), point(i / 16)));
-        for aperture in [Aperture::Circle, Aperture::Ellipse { ratio: 0.6 }] {
+        for aperture in [Aperture::Circle, Aperture::Ellipse(0.6)] {
             for lag in [DVec2::ZERO, DVec2::new(0.0, 1.0), DVec2::new(2.0, -1.0)] {
                 let pairs = points().flat_map(|a| points().map(move |b| b - a));
                 let mu = pairs.map(|off| aperture.field_correlation(grains * (off + lag)));

@@ -77,7 +77,7 @@ fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: Key
             let p = DVec2::new(place(i % SIDE), place(i / SIDE));
             let inside = match aperture {
                 Aperture::Circle => p.length() <= 0.5,
-                Aperture::Ellipse { ratio } => DVec2::new(p.x, p.y / ratio).length() <= 0.5,
+                Aperture::Ellipse(ratio) => DVec2::new(p.x, p.y / ratio).length() <= 0.5,
                 Aperture::Square => p.abs().max_element() <= 0.5,
             };
             *value *= match inside {
@@ -106,7 +106,7 @@ fn square_of_centroids(aperture: Aperture, sigma: f64, blurs: [f64; 2], key: Key
 #[test]
 fn defocus_noise_is_that_of_coherent_images() {
     const SURFACES: u64 = 150;
-    let ellipse = Aperture::Ellipse { ratio: 0.6 };
+    let ellipse = Aperture::Ellipse(0.6);
     for (i, (aperture, sigma, blur)) in [
         (Aperture::Circle, 1.0, 8.0),
         (Aperture::Circle, 2.0, 8.0),

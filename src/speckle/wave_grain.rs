@@ -3,9 +3,9 @@
 
 use super::frame_field::{FrameFields, PupilPlace, field_spec};
 use super::lookup::Coherence;
-use super::pattern::Aperture;
 use super::wave_correlation::{Estimate, bootstrap, interval};
 use crate::error::Result;
+use crate::math::Aperture;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use rayon::prelude::*;

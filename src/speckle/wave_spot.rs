@@ -3,11 +3,11 @@
 //! measurement", Applied Optics 33, 1306.
 
 use super::motion::Source;
-use super::pattern::Aperture;
 use super::wave::{ImageGrid, Pupil, intensity_at_focus, pupil_field};
 use super::wave_correlation::{Estimate, bootstrap, interval};
 use super::wave_patch::{lit, patch_filling_view};
 use crate::error::Result;
+use crate::math::Aperture;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;

@@ -1,7 +1,8 @@
 //! A camera for tests that need one without a scene.
 
 use glam::UVec2;
-use lasertrace::camera::{Aperture, Camera, Lens, Sensor};
+use lasertrace::camera::{Camera, Lens, Sensor};
+use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
 
 /// 800 × 600 pixels of 5.5 µm behind a lens of 25 mm, f/8, that looks at 240 mm; no

@@ -1,6 +1,6 @@
 use super::*;
+use crate::math::Aperture;
 use crate::speckle::motion::overlap_correlation_defocused;
-use crate::speckle::pattern::Aperture;
 use rustfft::num_complex::Complex64;
 use std::f64::consts::TAU;
 
@@ -23,7 +23,7 @@ fn place(x: f64, y: f64, defocus: f64) -> PupilPlace {
 /// Single precision and a thousand roundings make 1e-5 of the mean.
 #[test]
 fn a_field_is_the_sum_over_its_phasors() {
-    let ellipse = Aperture::Ellipse { ratio: 0.6 };
+    let ellipse = Aperture::Ellipse(0.6);
     for aperture in [Aperture::Circle, ellipse, Aperture::Square] {
         let spec = PatternSpec {
             size: 128,
@@ -204,7 +204,7 @@ fn interpolation_loses_no_contrast() {
 /// largest, and 0.01 is allowed.
 #[test]
 fn grains_have_the_size_and_shape_of_the_pupils() {
-    let ellipse = Aperture::Ellipse { ratio: 0.5 };
+    let ellipse = Aperture::Ellipse(0.5);
     for aperture in [Aperture::Circle, ellipse, Aperture::Square] {
         let lags = [0.25, 0.5, 0.75, 1.0, 1.5].map(|r| {
             let turn = |angle: f64| DVec2::from_angle(angle) * r;

@@ -1,8 +1,9 @@
 use super::*;
+use crate::math::Aperture;
 use crate::speckle::frame_field::{PupilPlace, field_spec};
 use crate::speckle::lookup::Coherence;
 use crate::speckle::motion::{overlap_correlation, overlap_correlation_defocused};
-use crate::speckle::pattern::{Aperture, PatternSpec};
+use crate::speckle::pattern::PatternSpec;
 use std::f64::consts::PI;
 
 fn fields(size: usize, seed: u64, coherence: Coherence) -> FrameFields {

@@ -1,0 +1,39 @@
+//! The shape of a pupil.
+
+/// Shape of the lens's aperture; its width is the pupil diameter D.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    serde::Serialize,
+    serde::Deserialize,
+    schemars::JsonSchema,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Aperture {
+    #[default]
+    Circle,
+    /// Height / width, above 0 and at most 1.
+    Ellipse(f64),
+    Square,
+}
+
+impl Aperture {
+    /// Height / width.
+    pub fn ratio(&self) -> f64 {
+        match *self {
+            Aperture::Ellipse(ratio) => ratio,
+            Aperture::Circle | Aperture::Square => 1.0,
+        }
+    }
+
+    /// Largest extent in any direction, in widths.
+    pub fn extent(&self) -> f64 {
+        match self {
+            Aperture::Square => std::f64::consts::SQRT_2,
+            Aperture::Circle | Aperture::Ellipse(_) => 1.0,
+        }
+    }
+}
