@@ -152,15 +152,15 @@ fn named(module: &str, text: &str, shown: bool) -> Vec<String> {
     }
     paths
         .into_iter()
-        .filter_map(|path| {
+        .map(|path| {
             if let Some(path) = path.strip_prefix("crate::") {
-                return Some(path.to_owned());
+                return path.to_owned();
             }
             let mut base: Vec<&str> = module.split("::").collect();
             let mut rest = path.as_str();
             if !rest.starts_with("super::") && !rest.starts_with("self::") {
                 // Of its own child.
-                return Some(format!("{module}::{rest}"));
+                return format!("{module}::{rest}");
             }
             while let Some(further) = rest.strip_prefix("super::") {
                 base.pop();
@@ -168,7 +168,7 @@ fn named(module: &str, text: &str, shown: bool) -> Vec<String> {
             }
             rest = rest.strip_prefix("self::").unwrap_or(rest);
             base.push(rest);
-            Some(base.join("::"))
+            base.join("::")
         })
         .collect()
 }

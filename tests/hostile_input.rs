@@ -135,6 +135,7 @@ const FORMATS: &[(&str, &str, &[u8])] = &[
     ),
 ];
 
+#[expect(clippy::too_many_lines, reason = "a table of one row a case")]
 fn cases() -> Vec<Case> {
     let case = |what, command, code, message, make| Case {
         what,

@@ -113,6 +113,7 @@ fn real_parts_load_with_the_known_counts() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of one row a case")]
 fn every_nasty_file_gives_the_right_mesh_or_an_error_that_names_the_problem() {
     check(
         "nasty",

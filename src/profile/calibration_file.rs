@@ -99,7 +99,7 @@ impl From<&Calibration> for CalibrationFile {
                 point_mm: calibration.plane_point.to_array(),
                 normal: calibration.plane_normal.to_array(),
             },
-            uncertainty: uncertainty(&calibration),
+            uncertainty: uncertainty(calibration),
         }
     }
 }

@@ -2,6 +2,7 @@
 //! course and are judged rightly.
 
 use super::*;
+use crate::accel::embree_race::FlatRay;
 use crate::mesh::shapes;
 use std::sync::Arc;
 
