@@ -107,17 +107,19 @@ impl Simulation {
             let (deviation, seen) = signed_distance(&self.accel, position, eye, &mut close);
             let normal = part_from_head.inverse().vector(seen);
             let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
-            let mut covariance = covariance;
-            let wall = across(&covariance) < WALL * trace(&covariance).max(0.0).sqrt();
+            let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
+            // The position's own knows no CAD.
+            let sigma = in_all(&covariance);
+            let wall = across(&covariance) < WALL * sigma;
             let within_sheet = normal.cross(sheet).length() < WALL;
+            let mut to_cad = covariance;
             if wall && (within_sheet || !self.runs_along(peak, error.slope, normal)) {
-                covariance += self.of_a_part_of_the_light(peak, in_head);
+                to_cad += self.of_a_part_of_the_light(peak, in_head);
             }
-            let sigma = trace(&covariance).max(0.0).sqrt();
             // Beside an edge two surfaces meet, and either may be nearest.
             let deviation_sigma = match error.beside_edge {
-                true => sigma,
-                false => across(&covariance),
+                true => in_all(&to_cad),
+                false => across(&to_cad),
             };
             Some(CloudPoint {
                 position,
