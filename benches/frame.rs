@@ -3,9 +3,9 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
-use lasertrace::batch::Simulation;
 use lasertrace::frame::{Irradiance, Region, irradiance};
-use lasertrace::inspect::picture::encode_counts;
+use lasertrace::report::picture::encode_counts;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::Path;
 use std::time::Instant;

@@ -13,10 +13,10 @@ mod waves;
 use four::Timed;
 use lasertrace::accel::embree_race::{BareEmbree, FlatHit, FlatRay};
 use lasertrace::accel::{Ray, WIDTH};
-use lasertrace::batch::Simulation;
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::Mesh;
+use lasertrace::run::Simulation;
 use pairs::seconds;
 
 /// Rays of a frame, packet by packet as version 0.1.0 traced them.

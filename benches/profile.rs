@@ -2,8 +2,8 @@
 //! answer is checked.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use lasertrace::batch::Simulation;
 use lasertrace::profile::{PeakFinder, PeakSettings, find_peaks};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::Path;
 

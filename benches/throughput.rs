@@ -12,8 +12,8 @@ mod waves;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
-use lasertrace::batch::Simulation;
 use lasertrace::frame::{Grid, Region, Sampling, Sheet, irradiance};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use pairs::{print_ratio, seconds};
 use rayon::ThreadPoolBuilder;

@@ -53,24 +53,27 @@
 )]
 
 pub mod accel;
-pub mod batch;
 pub mod camera;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod error;
 pub mod frame;
 pub mod inspect;
-pub mod integrator;
 pub mod laser;
 pub mod math;
 pub mod mesh;
+pub mod plan;
 pub mod profile;
 #[cfg(feature = "race")]
 pub mod race;
+pub mod report;
+pub mod run;
 pub mod scene;
 pub mod speckle;
+pub mod study;
 pub mod surface;
+pub mod wave;
 
-pub use batch::Simulation;
 pub use error::{Error, Result};
+pub use run::Simulation;
 pub use scene::Scene;

@@ -5,9 +5,9 @@ mod generated;
 mod random;
 
 use generated::{COLUMNS, Optics, kind, part};
-use lasertrace::batch::{Kept, keeps_word};
 use lasertrace::mesh;
 use lasertrace::scene::Scene;
+use lasertrace::study::{Kept, keeps_word};
 use random::Random;
 use std::fs;
 use std::path::Path;

@@ -7,9 +7,9 @@ mod program;
 
 use flattened::flattened;
 use lasertrace::accel::Backend;
-use lasertrace::batch::Simulation;
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::shapes;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use program::{assert_error, folder_with, run};
 use std::fmt::Write;

@@ -2,7 +2,6 @@
 //! determine them, and used for measuring whether right or wrong.
 
 use glam::UVec2;
-use lasertrace::batch::{Control, Simulation, calibrate};
 use lasertrace::camera::{CameraModel, Distortion};
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::rng::{Key, Purpose};
@@ -10,7 +9,9 @@ use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::profile::{
     Calibration, Dot, LinePoint, Observations, PARAMETERS, Parameters, adjust,
 };
+use lasertrace::run::{Control, Simulation};
 use lasertrace::scene::Scene;
+use lasertrace::study::calibrate;
 use rand_distr::{Distribution, StandardNormal};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;

@@ -1,8 +1,8 @@
 //! Which area of the CAD a scan measured, and why not the rest, against areas
 //! that can be counted by hand.
 
-use lasertrace::batch::Simulation;
 use lasertrace::inspect::coverage::{Fate, HeadPose, Scanned, SurfaceCoverage, coverage};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::PathBuf;
 

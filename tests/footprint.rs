@@ -5,13 +5,13 @@ mod random;
 
 use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
-use lasertrace::batch::Simulation;
 use lasertrace::camera::{Camera, Distortion};
 use lasertrace::frame::{Grid, Patterns, Region, Sampling, Speckle, View, irradiance};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::Aperture;
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh::{self, Mesh, shapes};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
 use lasertrace::speckle::lookup::Coherence;

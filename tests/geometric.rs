@@ -2,9 +2,9 @@
 //! that sends a hundred times the rays.
 
 use lasertrace::accel::Ray;
-use lasertrace::batch::Simulation;
 use lasertrace::frame::{LinePoint, Sheet, View};
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::PathBuf;
 

@@ -1,10 +1,10 @@
 //! Speckle grains on tilted sensors and off the optical axis: the law against sums of exact
 //! paths, and images against the law.
 
-use lasertrace::batch::Simulation;
 use lasertrace::camera::{Camera, Lens, Sensor};
 use lasertrace::math::Aperture;
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use random::Random;
 use std::f64::consts::{PI, TAU};

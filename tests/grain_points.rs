@@ -1,7 +1,7 @@
 //! What speckle grains do to points on tilted sensors and off the optical axis.
 
-use lasertrace::batch::Simulation;
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use random::Random;
 use tilted::{drawn_tilt, load, mean_and_error};

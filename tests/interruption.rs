@@ -5,7 +5,7 @@
 
 mod program;
 
-use lasertrace::batch::{Control, Coverage, ScanOptions};
+use lasertrace::run::{Control, Coverage, ScanOptions};
 use lasertrace::scene::Scene;
 use program::{PLANE, folder_with, scene};
 use std::collections::BTreeMap;
@@ -307,7 +307,7 @@ fn a_stop_in_the_report_is_heard() {
             geometry_only: false,
             also: Vec::new(),
         };
-        lasertrace::batch::scan(&scene, &options, &out, &control).map(|summary| summary.frames)
+        lasertrace::run::scan(&scene, &options, &out, &control).map(|summary| summary.frames)
     };
     assert_eq!(run(5, false).unwrap_err().exit_code(), 75);
     assert!(!out.join("manifest.json").exists() && !out.join("report.html").exists());

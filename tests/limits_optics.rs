@@ -4,9 +4,9 @@
 mod cameras;
 mod program;
 
-use lasertrace::batch::Simulation;
 use lasertrace::laser::{Beam, Fan, FanProfile, Laser};
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use program::{PLANE, folder_with, numbers, scene};
 

@@ -3,9 +3,9 @@
 
 mod program;
 
-use lasertrace::batch::Simulation;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::profile::Flags;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use program::run;
 use std::fs;

@@ -1,7 +1,7 @@
 //! The whole chain, from scene file to points, on shapes of known truth.
 
-use lasertrace::batch::Simulation;
 use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::PathBuf;
 

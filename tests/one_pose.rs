@@ -3,8 +3,8 @@
 mod program;
 mod random;
 
-use lasertrace::batch::Simulation;
 use lasertrace::math::DVec3;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use program::{PLANE, folder_with, run, scene};
 use random::Random;

@@ -6,10 +6,10 @@ mod random;
 mod sensor;
 
 use lasertrace::accel::Accel;
-use lasertrace::batch::{Simulation, part_in_view, scene_plan};
-use lasertrace::integrator::Plan;
-use lasertrace::integrator::in_view::InView;
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::plan::Plan;
+use lasertrace::plan::in_view::InView;
+use lasertrace::run::{Simulation, part_in_view, scene_plan};
 use lasertrace::scene::Scene;
 use random::Random;
 use sensor::{COLUMNS, MESH, Quads, Sensor, rectangle, write_quads};

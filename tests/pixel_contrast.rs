@@ -3,10 +3,10 @@
 
 mod program;
 
-use lasertrace::batch::Simulation;
-use lasertrace::integrator::Plan;
 use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
+use lasertrace::plan::Plan;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::theory::{integrated_contrast, sampled_contrast, sampling_deviation};
 use program::folder_with;

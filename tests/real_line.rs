@@ -1,8 +1,8 @@
 //! A real laser frame, heavily saturated and with a halo, beside the line that its
 //! authors' program extracted (../shared/data/laser; not part of this project).
 
-use lasertrace::batch::{LineAlong, read_image};
 use lasertrace::profile::PeakFinder;
+use lasertrace::study::{LineAlong, read_image};
 use std::path::{Path, PathBuf};
 
 /// Half thickness of the light in the frame at full scale, px, at its thinnest:

@@ -3,9 +3,9 @@
 //! columns in which the sensor sees the lit line.
 
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
-use lasertrace::batch::{Control, Coverage, ScanOptions, scan};
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
 use lasertrace::mesh;
+use lasertrace::run::{Control, Coverage, ScanOptions, scan};
 use lasertrace::scene::Scene;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;

@@ -1,8 +1,8 @@
 //! One ray a pixel where the surface is flat, against a ray for every sample.
 
 use lasertrace::accel::Clusters;
-use lasertrace::batch::Simulation;
 use lasertrace::frame::{Grid, Region, Sampling, irradiance};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::path::Path;
 

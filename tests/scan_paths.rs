@@ -3,8 +3,8 @@
 
 mod program;
 
-use lasertrace::batch::{Simulation, scene_plan};
 use lasertrace::math::{DVec3, Rigid};
+use lasertrace::run::{Simulation, scene_plan};
 use lasertrace::scene::Scene;
 use program::{PLANE, assert_error, folder_with, scene};
 use std::fs;

@@ -6,8 +6,8 @@ mod random;
 #[path = "silent_outliers/scenes.rs"]
 mod scenes;
 
-use lasertrace::batch::Simulation;
 use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use rayon::prelude::*;
 use scenes::{LOOKED_AT, drawn};

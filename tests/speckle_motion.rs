@@ -3,11 +3,11 @@
 
 mod rendered;
 
-use lasertrace::batch::Simulation;
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::speckle::motion::{defocus_phase, overlap_correlation, speckle_shift};
-use lasertrace::speckle::wave_motion::{WaveSampling, measure_motions};
+use lasertrace::wave::motion::{WaveSampling, measure_motions};
 use rendered::{Geometry, HALF, Image, PIXELS, Step, WAVELENGTH, images, moved};
 
 /// Standard errors allowed. Of the 99 numbers compared here one lies further off in one of

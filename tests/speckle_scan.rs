@@ -1,8 +1,8 @@
 //! Speckle in images: tied to the surface while the head moves, of the right
 //! grain and contrast.
 
-use lasertrace::batch::Simulation;
 use lasertrace::math::{DVec2, DVec3};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 
 /// A plane evenly lit by a wide beam, seen at 45°, under a head that moves by

@@ -1,8 +1,8 @@
 //! Predicted uncertainties against what is true.
 
-use lasertrace::batch::Simulation;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::profile::Flags;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 
 mod program;

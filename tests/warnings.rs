@@ -6,8 +6,8 @@ mod generated;
 mod program;
 
 use generated::{FOCAL_MM, SEEDS, Sensor};
-use lasertrace::batch::{self, Checked, Control, Reason, Simulation};
 use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::run::{Checked, Control, Reason, Simulation};
 use lasertrace::scene::{Scene, Unit};
 use program::{folder_with, run};
 use std::fs;
@@ -21,7 +21,7 @@ fn checked(folder: &Path) -> (Scene, Checked) {
         building: None,
         stop: &AtomicBool::new(false),
     };
-    let checked = batch::check(&scene, &control).unwrap();
+    let checked = lasertrace::run::check(&scene, &control).unwrap();
     (scene, checked)
 }
 

@@ -9,11 +9,11 @@ mod random;
 mod rays;
 
 use glam::DVec2;
-use lasertrace::batch::Simulation;
 use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Aperture;
 use lasertrace::profile::{Flags, Peak, PeakSettings, find_peaks};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use lasertrace::speckle::pattern::PatternSpec;

@@ -3,12 +3,12 @@
 // Each target uses one of them.
 #![allow(dead_code)]
 
-use lasertrace::batch::{LineAlong, parse_image};
 use lasertrace::error::Error;
 use lasertrace::math::DVec2;
 use lasertrace::mesh;
 use lasertrace::profile::{Calibration, PeakFinder};
 use lasertrace::scene::{Scene, parse_poses};
+use lasertrace::study::{LineAlong, parse_image};
 use std::path::Path;
 
 /// Whether bytes are a mesh, which then is valid and has a finite report; else the

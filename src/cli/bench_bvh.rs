@@ -28,7 +28,9 @@ pub struct Arguments {
 #[cfg(feature = "race")]
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     use super::STOP;
-    use crate::batch::{self, Control};
+    use crate::run::Control;
+    use crate::study;
+
     use crate::race::{Effort, table};
 
     // The builds of others cannot be stopped. Nothing is written before the race is over,
@@ -53,7 +55,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         ));
     };
     let (mesh_file, out) = (&arguments.mesh, &arguments.output);
-    let bench = batch::bench_bvh(mesh_file, &mesh, effort, out, &forecast, &control);
+    let bench = study::bench_bvh(mesh_file, &mesh, effort, out, &forecast, &control);
     bar.finish_and_clear();
     let bench = bench?;
     let (picture, json) = (path(&bench.picture), path(&bench.json));

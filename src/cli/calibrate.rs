@@ -1,8 +1,11 @@
 use super::{Output, STOP, SceneArguments};
-use crate::batch::{self, CalibrationSummary, Control};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::chart::short;
+use crate::report::chart::short;
+use crate::study::CalibrationSummary;
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -17,13 +20,13 @@ pub struct Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
-    let bar = output.progress(batch::CALIBRATION_VIEWS as u64, "views");
+    let bar = output.progress(study::CALIBRATION_VIEWS as u64, "views");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: None,
         stop: &STOP,
     };
-    let summary = batch::calibrate(scene, &arguments.output, &control);
+    let summary = study::calibrate(scene, &arguments.output, &control);
     bar.finish_and_clear();
     let summary = summary?;
     output.result(&summary, &text(&summary))

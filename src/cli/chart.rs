@@ -1,8 +1,11 @@
 use super::{Output, STOP, SceneArguments, show};
-use crate::batch::{self, Chart, ChartEffort, Control};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::chart::short;
+use crate::report::chart::short;
+use crate::study::{Chart, ChartEffort};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -28,13 +31,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         rounds: arguments.rounds,
     };
     let building = output.share("of the hierarchy built");
-    let bar = output.progress(batch::chart_steps(&scene, effort), "frames");
+    let bar = output.progress(study::chart_steps(&scene, effort), "frames");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let chart = batch::chart(&scene, effort, &arguments.output, &control);
+    let chart = study::chart(&scene, effort, &arguments.output, &control);
     bar.finish_and_clear();
     let chart = chart?;
     output.result(&chart, &text(&chart))

@@ -1,12 +1,16 @@
 use super::{Output, STOP, SceneArguments, show, warning_lines};
-use crate::batch::{self, Checked, Control, Forecast};
+use crate::run;
+use crate::run::Control;
+
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::inspect::chart::short;
-use crate::integrator::Plan;
-use crate::integrator::plan::Effect;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
+use crate::plan::rules::Effect;
+use crate::plan::rules::Plan;
+use crate::report::chart::short;
+use crate::run::Checked;
+use crate::run::Forecast;
 use crate::scene::{Motion, Moves, Scene};
 use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
@@ -40,10 +44,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let check = Check {
         mesh: mesh::report(&scene.mesh),
-        checked: batch::check(&scene, &control)?,
+        checked: run::check(&scene, &control)?,
         scene: &scene,
     };
-    batch::refuse(&check.checked.warnings, arguments.strict)?;
+    run::refuse(&check.checked.warnings, arguments.strict)?;
     output.result(&check, &text(&check))
 }
 

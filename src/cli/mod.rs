@@ -16,8 +16,8 @@ mod uncertainty;
 mod wave;
 
 use crate::accel::Backend;
-use crate::batch::Coverage;
 use crate::error::{Error, Result, printable};
+use crate::run::Coverage;
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
@@ -191,8 +191,8 @@ impl Output {
 }
 
 /// Each warning as a line.
-fn warning_lines(warnings: &[crate::batch::Warning]) -> String {
-    let line = |warning: &crate::batch::Warning| format!("warning: {}\n", warning.message);
+fn warning_lines(warnings: &[crate::run::Warning]) -> String {
+    let line = |warning: &crate::run::Warning| format!("warning: {}\n", warning.message);
     warnings.iter().map(line).collect()
 }
 

@@ -1,8 +1,12 @@
 use super::{Output, STOP};
-use crate::batch::{self, Control, ImageSummary, LineAlong, PeakChart};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::chart::short;
+use crate::report::chart::short;
+use crate::study::PeakChart;
+use crate::study::{ImageSummary, LineAlong};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -30,14 +34,14 @@ enum Along {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let bar = output.progress(batch::chart_conditions() as u64, "conditions");
+    let bar = output.progress(study::chart_conditions() as u64, "conditions");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: None,
         stop: &STOP,
     };
     let Some(image) = &arguments.image else {
-        let chart = batch::peak_chart(arguments.seed, &arguments.output, &control);
+        let chart = study::peak_chart(arguments.seed, &arguments.output, &control);
         bar.finish_and_clear();
         let chart = chart?;
         return output.result(&chart, &chart_text(&chart));
@@ -47,7 +51,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Along::Columns => LineAlong::Columns,
         Along::Rows => LineAlong::Rows,
     };
-    let summary = batch::peaks_of_image(image, along, &arguments.output, &control)?;
+    let summary = study::peaks_of_image(image, along, &arguments.output, &control)?;
     output.result(&summary, &image_text(&summary))
 }
 

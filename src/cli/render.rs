@@ -1,5 +1,7 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show};
-use crate::batch::{self, Control};
+use crate::run;
+use crate::run::Control;
+
 use crate::error::Result;
 use crate::error::printable::path;
 use std::path::PathBuf;
@@ -26,7 +28,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let summary = batch::render(
+    let summary = run::render(
         &scene,
         arguments.frame,
         arguments.coverage.coverage(),

@@ -1,9 +1,12 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show, warning_lines};
-use crate::batch::{self, Control, ScanOptions};
+use crate::run;
+use crate::run::Control;
+
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::inspect::chart::short;
-use crate::inspect::formats::Format;
+use crate::report::chart::short;
+use crate::report::formats::Format;
+use crate::run::ScanOptions;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -79,7 +82,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let summary = batch::scan(&scene, &options, &arguments.output, &control);
+    let summary = run::scan(&scene, &options, &arguments.output, &control);
     bar.finish_and_clear();
     let summary = summary?;
     let deviation = match &summary.deviation {

@@ -1,10 +1,13 @@
 use super::{Output, STOP};
-use crate::batch::{self, Control, SpeckleSummary};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::math::Aperture;
 use crate::speckle::pattern::PatternSpec;
 use crate::speckle::statistics::Check;
+use crate::study::SpeckleSummary;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -55,7 +58,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let summary = batch::speckle(&spec, &arguments.output, &control)?;
+    let summary = study::speckle(&spec, &arguments.output, &control)?;
     output.result(&summary, &text(&summary))
 }
 

@@ -1,5 +1,7 @@
 use super::{Output, STOP, SceneArguments};
-use crate::batch::{self, Control};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
 use std::path::PathBuf;
@@ -33,7 +35,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         output: folder,
         ..
     } = &arguments;
-    let summary = batch::monte_carlo(scene, *frame, *seeds, folder, &control);
+    let summary = study::monte_carlo(scene, *frame, *seeds, folder, &control);
     bar.finish_and_clear();
     let summary = summary?;
     let [first, second] = summary.headline();

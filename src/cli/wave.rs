@@ -1,11 +1,14 @@
 use super::{AccelArguments, Output, STOP, say};
-use crate::batch::{self, ComparedMotion, Control, WaveEffort, WavePatch, WaveSummary};
+use crate::run::Control;
+use crate::study;
+
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::scene::Scene;
-use crate::speckle::wave_correlation::Estimate;
-use crate::speckle::wave_grain::GrainRow;
-use crate::speckle::wave_spot::SpotRow;
+use crate::study::{ComparedMotion, WaveEffort, WavePatch, WaveSummary};
+use crate::wave::correlation::Estimate;
+use crate::wave::grain::GrainRow;
+use crate::wave::spot::SpotRow;
 use indicatif::HumanDuration;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -57,16 +60,16 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
                 let seconds = Duration::from_secs(seconds as u64);
                 say(&format!("takes about {}", HumanDuration(seconds)));
             }
-            let bar = output.progress(batch::PATCH_STEPS, "of a thousand parts");
+            let bar = output.progress(study::PATCH_STEPS, "of a thousand parts");
             let progress = |done| bar.set_position(done);
-            let summary = batch::wave_patch(&patch, &arguments.output, &control(&progress));
+            let summary = study::wave_patch(&patch, &arguments.output, &control(&progress));
             bar.finish_and_clear();
             summary
         }
         None => {
-            let bar = output.progress(batch::reference_motions() as u64, "motions");
+            let bar = output.progress(study::reference_motions() as u64, "motions");
             let progress = |done| bar.set_position(done);
-            let summary = batch::wave_reference(effort, &arguments.output, &control(&progress));
+            let summary = study::wave_reference(effort, &arguments.output, &control(&progress));
             bar.finish_and_clear();
             summary
         }

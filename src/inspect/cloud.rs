@@ -1,8 +1,8 @@
 //! The point cloud.
 
-use super::color::diverging;
 use crate::math::DVec3;
 use crate::profile::Flags;
+use crate::report::color::diverging;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};

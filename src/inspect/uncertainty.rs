@@ -1,7 +1,7 @@
 //! Predicted uncertainties beside those of a Monte Carlo run, along the columns.
 
-use super::chart::short;
 use super::cloud::CloudPoint;
+use crate::report::chart::short;
 use serde::Serialize;
 use std::fmt::Write;
 

@@ -22,7 +22,6 @@ mod locate;
 mod neighbourhood;
 mod normal;
 mod peak;
-mod residual_picture;
 mod slope;
 mod uncertainty;
 mod variances;
@@ -36,7 +35,6 @@ pub use find::{
     CANDIDATE_SHARE, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, find_peaks,
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
-pub use residual_picture::residual_picture;
 pub use slope::JUMP_SIGMAS;
 pub use uncertainty::{
     ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,

@@ -2,15 +2,13 @@
 //! the same rays in f32. It is built with the cargo feature `race` only, so that
 //! the rivals are none of the program's dependencies.
 
-mod aimed;
+pub(crate) mod aimed;
 mod forecast;
 mod laps;
-mod plot;
 mod racers;
 mod rays;
-mod table;
+pub(crate) mod table;
 
-pub use plot::plot;
 pub use table::table;
 
 use crate::accel::embree_race::FlatHit;

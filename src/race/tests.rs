@@ -4,6 +4,7 @@
 use super::*;
 use crate::accel::embree_race::FlatRay;
 use crate::mesh::shapes;
+use crate::report::race_plot::plot;
 use std::sync::Arc;
 
 /// As the program has it.

@@ -1,12 +1,12 @@
 //! The scene: what is written in the file, and what that means in internal units.
 
-mod accuracy;
 mod file;
 mod keys;
 mod locate;
 mod optics;
 mod part;
 mod path;
+mod plan_table;
 mod poses;
 mod resolve;
 mod resolver;

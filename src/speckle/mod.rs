@@ -5,8 +5,8 @@
 //! correlated patterns, `texture` stores them, `lookup` reads them at a
 //! `coordinate`. `theory` has the closed forms. `motion` says where to read as
 //! laser, part and camera move, `anchor` does so for a scan, `path`
-//! for one that turns. `wave*` is the slow
-//! wave-optics reference that all of it is measured against.
+//! for one that turns.
+//! [`crate::wave`] is the slow reference that all of it is measured against.
 
 pub mod anchor;
 pub mod coordinate;
@@ -25,12 +25,3 @@ pub mod statistics;
 pub mod strips;
 mod texture;
 pub mod theory;
-pub mod wave;
-pub mod wave_cases;
-pub mod wave_centroid;
-pub mod wave_correlation;
-pub mod wave_grain;
-pub mod wave_motion;
-pub mod wave_patch;
-pub mod wave_plot;
-pub mod wave_spot;

@@ -163,7 +163,7 @@ pub fn overlap_correlation_defocused(delta: f64, phase: f64) -> f64 {
 }
 
 /// The viewing ray at a surface point: unit vector, length, basis Q across it.
-pub(super) struct ViewRay {
+pub(crate) struct ViewRay {
     pub direction: DVec3,
     pub length: f64,
     pub basis: [DVec3; 2],

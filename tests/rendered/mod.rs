@@ -1,11 +1,11 @@
 //! Rendered frames of a plane that moves, and how their speckle correlates.
 
 use glam::DQuat;
-use lasertrace::batch::Simulation;
 use lasertrace::math::{DMat3, DVec2, DVec3, Rigid};
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::motion::{Motion, Source, SurfaceView};
-use lasertrace::speckle::wave_motion::MotionCase;
+use lasertrace::wave::motion::MotionCase;
 
 pub const WAVELENGTH: f64 = 660e-6;
 /// Pixels a grain.

@@ -1,7 +1,7 @@
 //! Scenes that are none of the repository's: other parts, lasers, sensors and angles.
 
 use crate::random::Random;
-use lasertrace::batch::Simulation;
+use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::borrow::Cow;
 use std::path::Path;

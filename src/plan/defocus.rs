@@ -1,0 +1,87 @@
+//! What the plan says of the lens's blur, which images do not have.
+
+use super::accuracy::{Pilot, PilotPoint};
+use super::height_error::HeightError;
+use super::rules::{Effect, Plan, SpeckleOptics};
+use crate::speckle::theory::{centroid_noise, defocus_noise};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How many times as far speckle moves the centroid of a line of standard deviation `sigma`
+/// under a blur of diameter `blur` as in focus, for grains of `size`, all in one unit, much
+/// wider than pixels ([`defocus_noise`]); 1 without speckle.
+pub(super) fn noise_factor(
+    speckle: Option<&SpeckleOptics>,
+    size: f64,
+    sigma: f64,
+    blur: f64,
+) -> f64 {
+    speckle.map_or(1.0, |optics| {
+        let kappa = defocus_noise(optics.aperture, 0.0, sigma / size);
+        let added = kappa * blur * (size / sigma).sqrt();
+        (added / centroid_noise(size, sigma, 1.0)).hypot(1.0)
+    })
+}
+
+impl Plan {
+    pub(super) fn defocus_effect(&self) -> Effect {
+        let words = self.defocus_in_words();
+        Effect::new("defocus", false, "sharp image".into(), words)
+    }
+
+    /// What defocus does, and to how many points; it is not modelled.
+    pub fn defocus_in_words(&self) -> String {
+        format!(
+            "blur of up to {:.1} px on a line {:.1} px wide: its centroid stays, speckle moves \
+             it up to {:.2} times as far as in these images, for which uncertainties are \
+             stated; {:.1} % of the points have a blur wider than two standard deviations of \
+             their line",
+            self.defocus_blur_px,
+            2.0 * self.line_half_width_px,
+            self.defocus_noise_factor,
+            100.0 * self.blurred_share
+        )
+    }
+}
+
+impl Pilot {
+    /// By how much more speckle moves heights through a lens that is out of focus, which
+    /// images do not show ([`defocus_noise`]).
+    pub fn defocus(&self) -> Vec<HeightError> {
+        let Some(grain) = &self.grain else {
+            return self.each(|_| HeightError::random(0.0));
+        };
+        // It changes by a third over all widths of lines: one for each quarter of an octave.
+        let step = |p: &PilotPoint| (4.0 * (p.sigma / grain.size).log2()).round() as i32;
+        let pixel = (1.0 / grain.size).min(16.0);
+        let of_step = |step: i32| {
+            (
+                step,
+                defocus_noise(grain.aperture, pixel, (step as f64 / 4.0).exp2()),
+            )
+        };
+        let steps: BTreeSet<i32> = self.points.iter().map(step).collect();
+        let kappa: BTreeMap<i32, f64> = steps.into_iter().map(of_step).collect();
+        self.each(|p| {
+            let blurred = kappa[&step(p)] * p.blur * (grain.size / p.sigma).sqrt();
+            HeightError::random(p.speckle.hypot(grain.contrast * blurred) - p.speckle)
+        })
+    }
+
+    /// The same for the diffraction of the lens, of a Gaussian of 0.42 h as the core of
+    /// Airy's pattern has it: √(σ² + s²)/σ, as for a Gaussian pupil in one dimension, where
+    /// the covariance of the field follows from the line's and the pupil's.
+    pub fn diffraction(&self) -> Vec<HeightError> {
+        let core = self.grain.as_ref().map_or(0.0, |grain| 0.42 * grain.size);
+        self.each(|p| HeightError::random(p.speckle * ((core / p.sigma).hypot(1.0) - 1.0)))
+    }
+
+    /// Share of the points whose blur is wider than two standard deviations of their line.
+    pub fn blurred_share(&self) -> Option<f64> {
+        let blurred = self
+            .points
+            .iter()
+            .filter(|p| p.blur > 2.0 * p.sigma)
+            .count();
+        (!self.points.is_empty()).then(|| blurred as f64 / self.points.len() as f64)
+    }
+}

@@ -1,0 +1,13 @@
+//! What a scene needs: which effects move its heights, by which method, at what cost.
+
+pub mod accuracy;
+mod cost;
+mod cutoff;
+mod defocus;
+mod grain_extent;
+pub mod height_error;
+pub mod in_view;
+pub mod rules;
+pub mod words;
+
+pub use rules::Plan;

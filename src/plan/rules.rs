@@ -1,0 +1,398 @@
+//! Which effects are modelled and how finely, and why: no more than the scene
+//! needs.
+
+use super::accuracy::Accuracy;
+use super::cutoff::cutoff_radii;
+use super::defocus::noise_factor;
+use super::grain_extent::GrainExtent;
+use super::in_view::Optics;
+use crate::frame::Sampling;
+use crate::frame::sampling_error;
+use crate::math::Aperture;
+use crate::math::{DVec2, DVec3};
+use crate::speckle::lookup::Method;
+use crate::speckle::theory::{centroid_noise, samples_across_pixel};
+use serde::Serialize;
+
+/// What a frame of this scene needs. Each way of doing it is a value here.
+#[derive(Debug, Clone, Serialize)]
+pub struct Plan {
+    /// Profiles come from laser rays and the camera's view of them, without images.
+    pub geometry_only: bool,
+    /// How speckle is read; `None`: light is taken as incoherent.
+    pub speckle: Option<Method>,
+    /// Whether counts have the sensor's noise, if the scene gives any.
+    pub noise: bool,
+    /// Samples along each side of a pixel.
+    pub samples_per_side: u32,
+    pub sampling: Sampling,
+    /// Beam radii at which light is taken to end.
+    pub cutoff_radii: f64,
+    /// 1/e² half width of the line's image where it is narrowest on the part, for
+    /// a surface across the beam, pixels.
+    pub line_half_width_px: f64,
+    /// Speckle on the sensor where it may see the line.
+    #[serde(flatten)]
+    pub grain: GrainExtent,
+    /// Blur of the lens where the laser plane crosses the part, at its largest,
+    /// pixels; not modelled.
+    pub defocus_blur_px: f64,
+    /// Share whose blur is wider than two standard deviations of the line: of the points of
+    /// the frames the plan looked at, without a tolerance of places of the laser plane.
+    pub blurred_share: f64,
+    /// How many times as far speckle moves centroids under that blur as in sharp images, at
+    /// most; 1 without speckle.
+    pub defocus_noise_factor: f64,
+    /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
+    pub airy_radius_px: f64,
+    /// Movement of the line's image for 1 mm along the beam, pixels per mm.
+    pub px_per_mm: f64,
+    /// Tilt that brings the laser plane into focus, degrees.
+    pub scheimpflug_tilt_deg: Option<[f64; 2]>,
+    /// Distance along the optical axis at which the laser plane meets it, mm: to
+    /// be in focus with that tilt, the lens must be focused there.
+    pub laser_plane_distance_mm: Option<f64>,
+    /// Whether the pattern slips on surfaces out of focus as they move.
+    pub speckle_slips: bool,
+    pub effects: Vec<Effect>,
+    /// `None`: the scene states no tolerance.
+    pub accuracy: Option<Accuracy>,
+}
+
+/// One line of the plan.
+#[derive(Debug, Clone, Serialize)]
+pub struct Effect {
+    pub effect: &'static str,
+    pub modelled: bool,
+    pub method: String,
+    pub why: String,
+    /// How far it moves heights, or what is left of it does: 99 of 100 points by less,
+    /// µm. `None` without a tolerance, and where no formula says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub influence_um: Option<f64>,
+    /// Predicted cost of modelling it, ms of one core a frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cost_ms: Option<f64>,
+}
+
+impl Effect {
+    pub fn new(effect: &'static str, modelled: bool, method: String, why: String) -> Effect {
+        Effect {
+            effect,
+            modelled,
+            method,
+            why,
+            influence_um: None,
+            cost_ms: None,
+        }
+    }
+}
+
+/// What the plan must know of speckle.
+#[derive(Debug, Clone, Copy)]
+pub struct SpeckleOptics {
+    pub aperture: Aperture,
+    /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
+    pub contrast: f64,
+    pub method: Method,
+    pub step: SpeckleStep,
+}
+
+/// What the plan must know of the motion in one exposure.
+#[derive(Debug, Clone, Copy)]
+pub struct ExposureMotion {
+    /// Of the head over the part, mm.
+    pub way: f64,
+    /// Poses whose light is averaged.
+    pub poses: u32,
+}
+
+/// What a step of the scan does to the speckle of a surface point.
+#[derive(Debug, Clone, Copy)]
+pub struct SpeckleStep {
+    /// Way of the point across the laser's sheet, mm.
+    pub across_sheet: f64,
+    /// Correlation γ of its intensities before and after.
+    pub gamma: f64,
+    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains; `None`
+    /// if it cannot be modelled.
+    pub slip_grains: Option<f64>,
+    /// Greatest way by which places of the view move otherwise than its middle, grains.
+    pub turn_grains: f64,
+}
+
+/// Error of the correlation of neighbouring frames up to which the pattern's slip is
+/// left out: what correlations of the patterns are good to.
+const CORRELATION_TOLERANCE: f64 = 0.01;
+
+/// Relative error of speckle contrast that sampling may cause: what the pattern's own
+/// contrast is good to.
+const CONTRAST_TOLERANCE: f64 = 0.005;
+
+/// Error of the line's centroid that sampling may cause, pixels.
+const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
+pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
+
+/// Samples a side at which the line's centroid is good to
+/// [`SAMPLING_TOLERANCE_PX`] and the contrast of speckle to [`CONTRAST_TOLERANCE`].
+fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&SpeckleOptics>) -> u32 {
+    let line = (1..=MAX_SAMPLES_PER_SIDE)
+        .find(|&n| {
+            // Below σn = ½ the error grows with n before it falls.
+            sigma_px * n as f64 > 0.5 && sampling_error(sigma_px, n) < SAMPLING_TOLERANCE_PX
+        })
+        .unwrap_or(MAX_SAMPLES_PER_SIDE);
+    let grain = match speckle {
+        Some(optics) if !matches!(optics.method, Method::Prefiltered { .. }) => {
+            // Past this many grains a pixel no affordable number of samples does.
+            let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
+            samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
+        }
+        _ => 1,
+    };
+    line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
+}
+
+impl Plan {
+    /// The plan for light that falls on these `places` (laser frame, mm) along the path
+    /// of the scan; `exposure` is `None` if the speed is unknown.
+    pub fn new(
+        optics: &Optics,
+        places: &[DVec3],
+        exposure: Option<ExposureMotion>,
+        speckle: Option<SpeckleOptics>,
+    ) -> Plan {
+        let &Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
+        let line = LineImage::over(optics, places);
+        let pitch = camera.sensor.pixel_pitch;
+        let airy_radius_px = 1.22 * camera.speckle_size(laser.beam.wavelength) / pitch;
+        let sigma = line.half_width_px / 2.0;
+        let samples = samples_per_side(sigma, line.grain.speckle_size_px, speckle.as_ref());
+        let plane_point = camera_from_laser.translation;
+        let plane_normal = camera_from_laser.rotation.y_axis;
+        let distance = plane_normal.dot(plane_point) / plane_normal.z;
+        let mut plan = Plan {
+            geometry_only: false,
+            speckle: speckle.map(|optics| optics.method),
+            noise: camera.sensor.noise.is_some(),
+            samples_per_side: samples,
+            sampling: Sampling::Planes,
+            cutoff_radii: cutoff_radii(laser, camera, places),
+            line_half_width_px: line.half_width_px,
+            grain: line.grain,
+            defocus_blur_px: line.defocus_blur_px,
+            blurred_share: line.blurred_share,
+            defocus_noise_factor: noise_factor(
+                speckle.as_ref(),
+                line.grain.speckle_extent_px[1],
+                sigma,
+                line.defocus_blur_px,
+            ),
+            airy_radius_px,
+            px_per_mm: line.px_per_mm,
+            scheimpflug_tilt_deg: camera
+                .scheimpflug_tilt(plane_point, plane_normal)
+                .map(|tilt| tilt.to_array().map(f64::to_degrees)),
+            laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
+            speckle_slips: false,
+            effects: Vec::new(),
+            accuracy: None,
+        };
+        let slip = speckle.as_ref().map(|optics| line.slip(optics));
+        plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
+        plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
+        plan.effects.extend(slip);
+        plan
+    }
+
+    fn explain(
+        &self,
+        speckle: Option<&SpeckleOptics>,
+        exposure: Option<ExposureMotion>,
+        sigma: f64,
+    ) -> Vec<Effect> {
+        let effect = Effect::new;
+        vec![
+            self.pixel_effect(sigma),
+            effect(
+                "speckle",
+                speckle.is_some(),
+                if speckle.is_some() {
+                    "patterns tied to the part"
+                } else {
+                    "none"
+                }
+                .into(),
+                format!(
+                    "grain {}; it moves each centroid by about {:.2} px (1σ)",
+                    self.grain,
+                    centroid_noise(
+                        self.grain.speckle_extent_px[1],
+                        sigma,
+                        speckle.map_or(1.0, |s| s.contrast)
+                    )
+                ),
+            ),
+            self.defocus_effect(),
+            effect(
+                "diffraction of the lens",
+                false,
+                "sharp image".into(),
+                format!("Airy radius {:.2} px", self.airy_radius_px),
+            ),
+            effect(
+                "light reflected more than once",
+                false,
+                "direct light only".into(),
+                "the surface is diffuse: interreflections are faint and wide".into(),
+            ),
+            self.exposure_effect(exposure),
+        ]
+    }
+
+    fn pixel_effect(&self, sigma: f64) -> Effect {
+        let n = self.samples_per_side;
+        Effect::new(
+            "pixel integration",
+            true,
+            match n {
+                1 => "1 ray a pixel".into(),
+                _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
+            },
+            format!(
+                "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
+                 dark beyond {:.2} radii",
+                self.line_half_width_px,
+                sampling_error(sigma, n).max(1e-6),
+                self.cutoff_radii
+            ),
+        )
+    }
+
+    fn exposure_effect(&self, exposure: Option<ExposureMotion>) -> Effect {
+        let poses = exposure.map_or(1, |exposure| exposure.poses);
+        let speed = exposure.map_or("no scan.frame_rate_hz is given".into(), |exposure| {
+            let way = exposure.way * 1e3;
+            format!("the head goes {way:.2} µm over the part in one exposure")
+        });
+        Effect::new(
+            "motion during the exposure",
+            poses > 1,
+            match poses {
+                1 => "head at rest".into(),
+                _ => format!("mean of {poses} poses"),
+            },
+            format!(
+                "{speed}; 1 px is {:.1} µm along the beam",
+                1e3 / self.px_per_mm
+            ),
+        )
+    }
+}
+
+/// The image of the line over the part.
+struct LineImage {
+    half_width_px: f64,
+    defocus_blur_px: f64,
+    blurred_share: f64,
+    px_per_mm: f64,
+    /// Largest 1/e² half width of the line itself, mm.
+    widest: f64,
+    /// Largest |1 − L_f/L_o|.
+    defocus: f64,
+    grain: GrainExtent,
+}
+
+impl LineImage {
+    /// Whether the pattern's slip on surfaces out of focus is modelled, and why.
+    fn slip(&self, optics: &SpeckleOptics) -> Effect {
+        let step = &optics.step;
+        // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
+        let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
+        let slip = (step.slip_grains).map(|grains| grains * self.defocus + step.turn_grains);
+        let error = slip.map_or(0.0, |grains| {
+            let kept = optics.aperture.field_correlation(DVec2::X * grains);
+            shared * (1.0 - kept * kept)
+        });
+        let modelled = error > CORRELATION_TOLERANCE;
+        Effect::new(
+            "speckle out of focus",
+            modelled,
+            match modelled {
+                true => {
+                    "two strips of the pupil's field, each read where its light was seen".into()
+                }
+                false => "moves with the surface".into(),
+            },
+            match slip {
+                Some(slip) => format!(
+                    "moves up to {slip:.2} grains a frame otherwise than the middle of the view: \
+                     without, the correlation of neighbouring frames, {shared:.3} at most, is \
+                     off by {error:.3}"
+                ),
+                None => "intensities are read, or speckle moves but hardly changes".into(),
+            },
+        )
+    }
+
+    /// The image at these places of the laser's light; of one pixel where there is none.
+    fn over(optics: &Optics, places: &[DVec3]) -> LineImage {
+        let Optics {
+            laser,
+            camera,
+            camera_from_laser,
+        } = optics;
+        let mut image = LineImage {
+            half_width_px: f64::INFINITY,
+            defocus_blur_px: 0.0,
+            blurred_share: 0.0,
+            px_per_mm: f64::INFINITY,
+            widest: 0.0,
+            defocus: 0.0,
+            grain: GrainExtent::NONE,
+        };
+        let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
+        let each = 1.0 / places.len().max(1) as f64;
+        for &p in places {
+            let moved = |by: DVec3| {
+                let from = camera.project(camera_from_laser.point(p))?;
+                Some((camera.project(camera_from_laser.point(p + by))? - from).length())
+            };
+            let width = laser.beam.radius(p.x.hypot(p.z));
+            if let Some(pixel) = camera.project(camera_from_laser.point(p)) {
+                image.grain = image.grain.with(grains(pixel));
+            }
+            let blur = camera.defocus_blur(camera_from_laser.point(p));
+            let blur_px = blur.unwrap_or(0.0) / camera.sensor.pixel_pitch;
+            image.defocus_blur_px = image.defocus_blur_px.max(blur_px);
+            if let Some(px) = moved(DVec3::Y * width) {
+                image.half_width_px = image.half_width_px.min(px);
+                image.blurred_share += f64::from(blur_px > px) * each;
+            }
+            if let Some(px) = moved(DVec3::Z * 1e-3) {
+                image.px_per_mm = image.px_per_mm.min(px * 1e3);
+            }
+            image.widest = image.widest.max(width);
+            let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
+            image.defocus = image.defocus.max(defocus.abs());
+        }
+        if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
+            image.half_width_px = 1.0;
+            image.px_per_mm = 1.0;
+        }
+        if image.grain == GrainExtent::NONE {
+            image.grain = image
+                .grain
+                .with(grains(camera.sensor.resolution.as_dvec2() / 2.0));
+        }
+        image
+    }
+}
+
+#[cfg(test)]
+#[path = "rules_tests.rs"]
+mod tests;

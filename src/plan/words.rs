@@ -1,0 +1,32 @@
+//! Plans in words.
+
+use super::Plan;
+use crate::frame::Sampling;
+use crate::speckle::lookup::Method;
+
+/// A plan's values in words.
+pub fn in_words(plan: &Plan) -> String {
+    words(plan).join(", ")
+}
+
+pub fn words(plan: &Plan) -> Vec<String> {
+    if plan.geometry_only {
+        return vec!["geometry only, no image".into()];
+    }
+    let n = plan.samples_per_side;
+    let sampling = match plan.sampling {
+        _ if n == 1 => "1 ray a pixel".to_owned(),
+        Sampling::Planes => format!("{n} × {n} samples a pixel"),
+        Sampling::Rays => format!("{n} × {n} rays a pixel"),
+    };
+    let speckle = match plan.speckle {
+        None => "no speckle",
+        Some(Method::Field) if plan.speckle_slips => "speckle by field that slips out of focus",
+        Some(Method::Field) => "speckle by field",
+        Some(Method::Trilinear) => "speckle trilinear",
+        Some(Method::Prefiltered { .. }) => "speckle prefiltered",
+    };
+    let noise = if plan.noise { "noise" } else { "no noise" };
+    let light = format!("light to {:.2} beam radii", plan.cutoff_radii);
+    vec![sampling, speckle.into(), noise.into(), light]
+}

@@ -1,0 +1,253 @@
+//! The cloud in other forms than PLY.
+
+use crate::inspect::cloud::CloudPoint;
+use e57::{E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
+use sha2::{Digest, Sha256};
+use std::fmt::Write;
+use std::io::{self, Cursor};
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text, one line a point.
+    Csv,
+    /// ASTM E2807, in metres as it demands.
+    E57,
+    /// All profiles in one array of NumPy's.
+    Npy,
+}
+
+impl Format {
+    pub const ALL: [Format; 3] = [Format::Csv, Format::E57, Format::Npy];
+
+    pub fn file_name(self) -> &'static str {
+        match self {
+            Format::Csv => "cloud.csv",
+            Format::E57 => "cloud.e57",
+            Format::Npy => "profiles.npy",
+        }
+    }
+
+    /// The whole file: some 70 bytes a point, twice that as text.
+    pub fn bytes(self, points: &[CloudPoint]) -> io::Result<Vec<u8>> {
+        match self {
+            Format::Csv => Ok(csv(points).into_bytes()),
+            Format::E57 => e57(points).map_err(io::Error::other),
+            Format::Npy => Ok(npy(points)),
+        }
+    }
+}
+
+/// x, y and z first, in mm, so that readers of bare XYZ files take the first three.
+fn csv(points: &[CloudPoint]) -> String {
+    let mut text = String::from(
+        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags\n",
+    );
+    for p in points {
+        let [x, y, z] = p.position.to_array();
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{}",
+            p.deviation,
+            p.sigma,
+            p.deviation_sigma,
+            p.intensity,
+            p.frame,
+            p.column,
+            p.flags.bits()
+        );
+    }
+    text
+}
+
+/// Names of the attributes that E57 itself does not know.
+const OWN: [&str; 4] = ["deviation", "sigma", "deviationSigma", "flags"];
+const NAMESPACE: &str = "lasertrace";
+
+fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
+    let mut hash = Sha256::new();
+    for p in points {
+        for x in p.position.to_array() {
+            hash.update(x.to_le_bytes());
+        }
+    }
+    let guid: String = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
+    let mut file = Cursor::new(Vec::new());
+    let mut writer = E57Writer::new(&mut file, &guid)?;
+    writer.register_extension(Extension {
+        namespace: NAMESPACE.into(),
+        url: "urn:lasertrace:point".into(),
+    })?;
+    let float = RecordDataType::Double {
+        min: None,
+        max: None,
+    };
+    let index = |of: &dyn Fn(&CloudPoint) -> i64| RecordDataType::Integer {
+        min: 0,
+        max: points.iter().map(of).max().unwrap_or(0).max(1),
+    };
+    let mut prototype = vec![
+        Record::CARTESIAN_X_F64,
+        Record::CARTESIAN_Y_F64,
+        Record::CARTESIAN_Z_F64,
+    ];
+    let mut add = |name, data_type| prototype.push(Record { name, data_type });
+    add(RecordName::Intensity, float.clone());
+    add(RecordName::RowIndex, index(&|p| p.frame as i64));
+    add(RecordName::ColumnIndex, index(&|p| p.column as i64));
+    for (i, name) in OWN.into_iter().enumerate() {
+        let name = RecordName::Unknown {
+            namespace: NAMESPACE.into(),
+            name: name.into(),
+        };
+        add(
+            name,
+            match i {
+                3 => RecordDataType::Integer {
+                    min: 0,
+                    max: u16::MAX as i64,
+                },
+                _ => float.clone(),
+            },
+        );
+    }
+    let mut cloud = writer.add_pointcloud(&guid, prototype)?;
+    cloud.set_name(Some("lasertrace scan, frame of the part".into()));
+    for p in points {
+        let [x, y, z] = (p.position * 1e-3).to_array().map(RecordValue::Double);
+        cloud.add_point(vec![
+            x,
+            y,
+            z,
+            RecordValue::Double(p.intensity),
+            RecordValue::Integer(p.frame as i64),
+            RecordValue::Integer(p.column as i64),
+            RecordValue::Double(p.deviation * 1e-3),
+            RecordValue::Double(p.sigma * 1e-3),
+            RecordValue::Double(p.deviation_sigma * 1e-3),
+            RecordValue::Integer(p.flags.bits() as i64),
+        ])?;
+    }
+    cloud.finalize()?;
+    writer.finalize()?;
+    drop(writer);
+    Ok(file.into_inner())
+}
+
+/// A structured array, version 1.0 of the format (NumPy enhancement proposal 1):
+/// the header is padded to a multiple of 64 bytes.
+fn npy(points: &[CloudPoint]) -> Vec<u8> {
+    let fields = [
+        ("frame", "<u4"),
+        ("column", "<u4"),
+        ("x_mm", "<f8"),
+        ("y_mm", "<f8"),
+        ("z_mm", "<f8"),
+        ("deviation_mm", "<f8"),
+        ("sigma_mm", "<f8"),
+        ("deviation_sigma_mm", "<f8"),
+        ("intensity_dn", "<f8"),
+        ("flags", "<u2"),
+    ];
+    let fields = fields.map(|(name, kind)| format!("('{name}', '{kind}')"));
+    let mut header = format!(
+        "{{'descr': [{}], 'fortran_order': False, 'shape': ({},), }}",
+        fields.join(", "),
+        points.len()
+    );
+    const PREFIX: usize = 10;
+    while !(PREFIX + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    for p in points {
+        bytes.extend(p.frame.to_le_bytes());
+        bytes.extend(p.column.to_le_bytes());
+        let [x, y, z] = p.position.to_array();
+        for value in [
+            x,
+            y,
+            z,
+            p.deviation,
+            p.sigma,
+            p.deviation_sigma,
+            p.intensity,
+        ] {
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes.extend(p.flags.bits().to_le_bytes());
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::DVec3;
+    use crate::profile::Flags;
+    use e57::E57Reader;
+
+    fn points() -> Vec<CloudPoint> {
+        (0..200)
+            .map(|i| CloudPoint {
+                position: DVec3::new(i as f64 / 3.0, -1.5, 1e-3),
+                deviation: -0.002,
+                sigma: 0.003,
+                deviation_sigma: 0.001,
+                intensity: 1234.5,
+                frame: i / 20,
+                column: i % 20,
+                flags: Flags::EDGE,
+                normal: glam::Vec3::Z,
+            })
+            .collect()
+    }
+
+    /// As another program reads it: metres, and the point's own attributes.
+    #[test]
+    fn an_e57_is_read_back() {
+        let points = points();
+        let bytes = Format::E57.bytes(&points).unwrap();
+        assert_eq!(bytes, Format::E57.bytes(&points).unwrap());
+        let mut reader = E57Reader::new(Cursor::new(bytes)).unwrap();
+        let cloud = reader.pointclouds().remove(0);
+        assert_eq!(cloud.records, 200);
+        let read: Vec<_> = reader
+            .pointcloud_raw(&cloud)
+            .unwrap()
+            .collect::<Result<_, _>>()
+            .unwrap();
+        let last = &read[199];
+        assert_eq!(last[0], RecordValue::Double(199.0 / 3.0 * 1e-3));
+        assert_eq!(last[4], RecordValue::Integer(9));
+        assert_eq!(last[6], RecordValue::Double(-0.002 * 1e-3));
+        assert_eq!(last[9], RecordValue::Integer(32));
+    }
+
+    /// The header's own rules, and where the first point lies.
+    #[test]
+    fn an_npy_is_laid_out_as_numpy_wants_it() {
+        let bytes = Format::Npy.bytes(&points()).unwrap();
+        let length = u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
+        assert_eq!((10 + length) % 64, 0);
+        let header = std::str::from_utf8(&bytes[10..10 + length]).unwrap();
+        assert!(header.contains("'shape': (200,)") && header.ends_with('\n'));
+        let data = &bytes[10 + length..];
+        assert_eq!(data.len(), 200 * 66);
+        assert_eq!(data[66 + 4..66 + 8], 1u32.to_le_bytes());
+        assert_eq!(data[66 + 8..66 + 16], (1.0f64 / 3.0).to_le_bytes());
+    }
+
+    #[test]
+    fn a_csv_has_a_line_a_point_and_an_empty_cloud_is_no_error() {
+        let text = String::from_utf8(Format::Csv.bytes(&points()).unwrap()).unwrap();
+        assert_eq!(text.lines().count(), 201);
+        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 10);
+        for format in Format::ALL {
+            assert!(format.bytes(&[]).is_ok(), "{format:?}");
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! From a frame's image, or from geometry alone, to points on the part.
+
+use super::simulation::Simulation;
+use crate::camera::{Camera, Counts};
+use crate::frame::LinePoint;
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::continuity::compare_frames;
+use crate::inspect::coverage::HeadPose;
+use crate::inspect::deviation::signed_distance;
+use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::profile::{
+    ErrorModel, Flags, Peak, PeakSettings, RowError, SpeckleGrain, compare_neighbours, find_peaks,
+};
+use crate::scene::Scene;
+
+/// Least share of a point's uncertainty that is across the surface, for that share to be all that
+/// moves the point off it: on a wall along which its errors run, which part of the light it catches
+/// decides as much, and beside one the point may lie on another face. Not so where the line is seen
+/// to run along the wall; of a wall within as much of the sheet that says nothing.
+const WALL: f64 = 0.15;
+
+impl Simulation {
+    pub fn peak_settings(&self) -> PeakSettings {
+        let Scene {
+            measure, camera, ..
+        } = &self.scene;
+        PeakSettings {
+            finder: measure.finder,
+            choice: measure.choice,
+            max_count: camera.sensor.saturation_count(),
+            expected_sigma: self.plan.line_half_width_px / 2.0,
+        }
+    }
+
+    /// Lines of an image and how far their rows may be off.
+    pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
+        let mut peaks = find_peaks(counts, &self.peak_settings());
+        let errors = self.errors.row_errors(&mut peaks, counts.columns());
+        (peaks, errors)
+    }
+
+    /// The profile in an image and its points on the part.
+    pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, errors) = self.peaks(counts);
+        let points = self.points(frame, &peaks, &errors);
+        (peaks, points)
+    }
+
+    /// The profile that an ideal image would have, from laser rays and what the
+    /// camera sees of them, and its points. The stated uncertainty is still that of
+    /// the peaks of real images. Empty but where the plan takes geometry only.
+    pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, errors) = self.geometric_peaks(frame);
+        let points = self.points(frame, &peaks, &errors);
+        (peaks, points)
+    }
+
+    /// Its peaks and how far their rows may be off.
+    pub(crate) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<RowError>) {
+        let Some(sheet) = &self.sheet else {
+            return (Vec::new(), Vec::new());
+        };
+        let line = sheet.profile(&self.view(frame));
+        let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
+        let settings = self.peak_settings();
+        let columns = self.scene.camera.sensor.resolution.x as usize;
+        compare_neighbours(&mut peaks, columns, settings.expected_sigma);
+        let errors = self.errors.row_errors(&mut peaks, columns);
+        (peaks, errors)
+    }
+
+    /// The peak whose counts are what the sensor would expect of a line as wide as
+    /// the plan has it.
+    fn ideal_peak(&self, point: &LinePoint) -> Peak {
+        let Camera { sensor, .. } = &self.scene.camera;
+        let pixel = DVec2::new(point.column as f64 + 0.5, point.row);
+        let irradiance = point.radiance * self.scene.camera.pupil_solid_angle(pixel);
+        let wavelength = self.scene.laser.beam.wavelength;
+        let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
+        let height = electrons.min(sensor.full_well_e) * sensor.gain_dn_per_e;
+        let sigma = self.plan.line_half_width_px / 2.0;
+        let dark = sensor
+            .noise
+            .map_or(0.0, |n| n.read_noise_e * sensor.gain_dn_per_e);
+        Peak {
+            column: point.column,
+            row: point.row,
+            intensity: height * sigma * std::f64::consts::TAU.sqrt(),
+            height,
+            sigma,
+            noise: dark.hypot(1.0 / 12f64.sqrt()),
+            flags: Flags::empty(),
+        }
+    }
+
+    /// Points of a frame's peaks, whose rows may be so far off.
+    fn points(&self, frame: u32, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
+        let part_from_head = self.scene.part_from_head(frame);
+        let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let sheet = self.scene.head_from_laser.rotation.y_axis;
+        let measured = peaks.iter().zip(errors);
+        // The triangle nearest to the column before.
+        let mut close = None;
+        let points = measured.filter_map(|(peak, error)| {
+            let (in_head, covariance) = self.point(peak, error.sigma)?;
+            let position = part_from_head.point(in_head);
+            let (deviation, seen) = signed_distance(&self.accel, position, eye, &mut close);
+            let normal = part_from_head.inverse().vector(seen);
+            let across = |c: &DMat3| normal.dot(*c * normal).max(0.0).sqrt();
+            let in_all = |c: &DMat3| trace(c).max(0.0).sqrt();
+            // The position's own knows no CAD.
+            let sigma = in_all(&covariance);
+            let wall = across(&covariance) < WALL * sigma;
+            let within_sheet = normal.cross(sheet).length() < WALL;
+            let mut to_cad = covariance;
+            if wall && (within_sheet || !self.runs_along(peak, error.slope, normal)) {
+                to_cad += self.of_a_part_of_the_light(peak, in_head);
+            }
+            // Beside an edge two surfaces meet, and either may be nearest.
+            let deviation_sigma = match error.beside_edge {
+                true => in_all(&to_cad),
+                false => across(&to_cad),
+            };
+            Some(CloudPoint {
+                position,
+                deviation,
+                sigma,
+                deviation_sigma,
+                intensity: peak.intensity,
+                frame,
+                column: peak.column,
+                flags: peak.flags,
+                normal: seen.as_vec3(),
+            })
+        });
+        points.collect()
+    }
+
+    /// A peak's point and its covariance, head's frame, mm and mm².
+    fn point(&self, peak: &Peak, row_sigma: f64) -> Option<(DVec3, DMat3)> {
+        let pixel = peak.place();
+        let jacobian = self.calibration.point_jacobian(pixel)?;
+        let row = jacobian.by_pixel[1] * row_sigma;
+        let from_row = outer(row);
+        let known = self.calibration.is_exact();
+        let covariance = match known {
+            true => from_row,
+            false => from_row + self.calibration.point_covariance(&jacobian),
+        };
+        Some((jacobian.point, covariance))
+    }
+
+    /// Diameter of the lens's blur, which images do not have, at a peak's point, px.
+    pub(crate) fn defocus_blur_px(&self, peak: &Peak) -> Option<f64> {
+        let camera = &self.scene.camera;
+        let blur = camera.defocus_blur(self.calibration.point(peak)?)?;
+        Some(blur / camera.sensor.pixel_pitch)
+    }
+
+    /// Whether the line climbs, in rows a column, as one on a plane of this normal (head's frame)
+    /// would, to half of that.
+    fn runs_along(&self, peak: &Peak, slope: f64, normal: DVec3) -> bool {
+        let pixel = DVec2::new(peak.column as f64 + 0.5, peak.row);
+        let jacobian = self.calibration.point_jacobian(pixel);
+        jacobian.is_some_and(|j| {
+            let [by_column, by_row] = j.by_pixel.map(|by| normal.dot(by));
+            (by_row * slope + by_column).abs() <= by_column.abs() / 2.0
+        })
+    }
+
+    /// What a peak's point may be off where the wall it lies on catches a part of the light
+    /// only, covariance in the head's frame, mm²: as far off the sheet as the light is
+    /// on average, a standard deviation of w/2, and seen along the same ray; and off the
+    /// middle of its column's light, 1/√12 of a column if all of it is at one place.
+    fn of_a_part_of_the_light(&self, peak: &Peak, in_head: DVec3) -> DMat3 {
+        let scene = &self.scene;
+        let from_laser = scene.head_from_laser.inverse().point(in_head);
+        let half = scene.laser.beam.radius(from_laser.length()) / 2.0;
+        let normal = scene.head_from_laser.rotation.y_axis;
+        let ray = in_head - self.calibration.head_from_camera.translation;
+        let off_sheet = ray * (half / ray.dot(normal));
+        let pixel = peak.place();
+        let by_column = self
+            .calibration
+            .point_jacobian(pixel)
+            .map(|j| j.by_pixel[0]);
+        let off_column = by_column.unwrap_or_default() / 12f64.sqrt();
+        outer(off_sheet) + outer(off_column)
+    }
+
+    /// Sets and takes back [`Flags::EDGE`] by what other frames show of the surface
+    /// ([`compare_frames`]). `frames` are all that were measured, in order, and `points` theirs.
+    pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
+        let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
+        compare_frames(points, &scanned, &self.scene.laser);
+    }
+
+    /// Where laser and camera are in a frame.
+    pub(crate) fn head_pose(&self, frame: u32) -> HeadPose {
+        let part_from_head = self.scene.part_from_head(frame);
+        HeadPose {
+            part_from_laser: part_from_head * self.scene.head_from_laser,
+            part_from_camera: part_from_head * self.scene.head_from_camera,
+        }
+    }
+
+    /// The cloud moved by a rigid motion, its deviations taken anew.
+    pub(crate) fn moved(&self, point: &CloudPoint, motion: &Rigid) -> CloudPoint {
+        let part_from_head = self.scene.part_from_head(point.frame);
+        let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let position = motion.point(point.position);
+        let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut None);
+        CloudPoint {
+            position,
+            deviation,
+            normal: normal.as_vec3(),
+            ..*point
+        }
+    }
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+fn trace(m: &DMat3) -> f64 {
+    m.x_axis.x + m.y_axis.y + m.z_axis.z
+}
+
+/// What data sheets of the scene's laser and camera tell of the errors of peaks.
+pub(crate) fn error_model(scene: &Scene) -> ErrorModel {
+    let Camera { sensor, .. } = &scene.camera;
+    let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
+    let grain = scene.speckle.map(|model| SpeckleGrain {
+        rays: scene.camera.model().chief_rays(),
+        resolution: sensor.resolution,
+        size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
+        contrast: model.coherence.contrast(),
+        aperture: model.aperture,
+    });
+    ErrorModel::new(scene.measure.finder, shot, grain)
+}

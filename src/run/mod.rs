@@ -1,0 +1,36 @@
+//! A scene made ready to run, its frames, and its files: many frames at once, nothing
+//! half-written left behind.
+
+mod check;
+mod control;
+pub(crate) mod files;
+pub(crate) mod forecast;
+mod frames;
+pub(crate) mod height_errors;
+mod journal;
+pub(crate) mod measure;
+pub(crate) mod pilot;
+pub(crate) mod planner;
+pub(crate) mod ready;
+mod reason;
+mod render;
+mod report;
+mod scan;
+pub(crate) mod scan_speckle;
+mod search;
+pub(crate) mod simulation;
+pub(crate) mod surface_view;
+mod survey;
+mod warnings;
+
+pub use check::{Checked, MeasuringRange, check};
+pub use control::{Control, Coverage};
+pub(crate) use control::{check_frame, check_frames};
+pub use forecast::Forecast;
+pub use height_errors::HeightErrors;
+pub use ready::scene_plan;
+pub use reason::{Reason, Warning};
+pub use render::{RenderSummary, render};
+pub use scan::{ScanOptions, ScanSummary, scan};
+pub use simulation::{Simulation, part_in_view};
+pub use warnings::refuse;

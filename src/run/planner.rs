@@ -1,0 +1,240 @@
+//! The plan of a scene: what its rules ask, what it names, and with a tolerance the
+//! cheapest that keeps it.
+
+use super::search::{Choice, choose};
+use super::simulation::plan;
+use crate::accel::Accel;
+use crate::error::Result;
+use crate::frame::Sampling;
+use crate::laser::CUTOFF_RADII;
+use crate::plan::accuracy::geometry_only;
+use crate::plan::height_error::quantile;
+use crate::plan::rules::Effect;
+use crate::plan::rules::Plan;
+use crate::plan::words::in_words;
+use crate::scene::{PlanTable, Scene};
+use crate::speckle::lookup::Method;
+use std::sync::Arc;
+
+const NAMED: &str = "named in [plan]";
+
+/// What others are measured against: every sample traced, at least twice as many as the
+/// scene's rules or its plan ask for, to the end of the beam.
+pub(crate) fn full(base: &Plan, plan: &Plan) -> Plan {
+    let most = base.samples_per_side.max(plan.samples_per_side);
+    Plan {
+        geometry_only: false,
+        sampling: Sampling::Rays,
+        samples_per_side: (2 * most).max(8),
+        cutoff_radii: CUTOFF_RADII,
+        speckle_slips: plan.speckle_slips,
+        ..base.clone()
+    }
+}
+
+/// `plan` with the methods that the scene names.
+pub(crate) fn named(scene: &Scene, mut plan: Plan) -> Plan {
+    let methods = &scene.methods;
+    plan.geometry_only = methods.geometry_only.unwrap_or(plan.geometry_only);
+    if let Some(wanted) = methods.speckle {
+        plan.speckle = scene.speckle.map(|s| s.method).filter(|_| wanted);
+    }
+    if let Some(wanted) = methods.noise {
+        plan.noise = wanted && scene.camera.sensor.noise.is_some();
+    }
+    plan.speckle_slips = methods.speckle_slips.unwrap_or(plan.speckle_slips);
+    plan.samples_per_side = methods.samples_per_side.unwrap_or(plan.samples_per_side);
+    plan.sampling = methods.sampling.unwrap_or(plan.sampling);
+    plan.cutoff_radii = methods.cutoff_radii.unwrap_or(plan.cutoff_radii);
+    match plan.geometry_only {
+        true => geometry_only(plan),
+        false => plan,
+    }
+}
+
+/// Effects of a plan without a tolerance, as the scene's names changed them.
+fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
+    let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
+    let mut tell = |effect, modelled, method: &str| {
+        list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
+    };
+    if plan.geometry_only {
+        tell("width of the line", false, NO_WIDTH);
+        tell("speckle", false, "none");
+    } else {
+        if methods.speckle.is_some() {
+            tell("speckle", plan.speckle.is_some(), speckle_method(&plan));
+        }
+        if methods.noise.is_some() {
+            tell("sensor noise", plan.noise, noise_method(&plan));
+        }
+        let PlanTable {
+            samples_per_side,
+            sampling,
+            cutoff_radii,
+            ..
+        } = methods;
+        if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
+            tell("pixel integration", true, &in_words(&plan));
+        }
+    }
+    plan.effects
+        .retain(|e| list.iter().all(|l| l.effect != e.effect));
+    plan.effects.splice(0..0, list);
+    plan
+}
+
+fn slip_named(methods: &PlanTable) -> Option<Effect> {
+    let slips = methods.speckle_slips?;
+    let method = if slips {
+        "slips"
+    } else {
+        "moves with the surface"
+    };
+    Some(Effect::new(SLIP, slips, method.into(), NAMED.into()))
+}
+
+const SLIP: &str = "speckle out of focus";
+const NO_WIDTH: &str = "laser rays without width";
+
+fn speckle_method(plan: &Plan) -> &'static str {
+    match plan.speckle {
+        Some(Method::Field) => "complex field of each frame",
+        Some(Method::Trilinear) => "ring of intensities",
+        Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
+        None => "light taken as incoherent",
+    }
+}
+
+fn noise_method(plan: &Plan) -> &'static str {
+    match plan.noise {
+        true => "drawn for each pixel",
+        false => "counts are the rounded expectation",
+    }
+}
+
+/// The same over a hierarchy that is there.
+pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>) -> Result<Plan> {
+    let base = plan(scene, accel);
+    let Some(tolerance) = scene.tolerance_um else {
+        return Ok(told(&scene.methods, named(scene, base)));
+    };
+    let mut choice = choose(scene, accel, &base, tolerance)?;
+    let pilot = &choice.pilot;
+    choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
+    let effects = effects(scene, &mut choice, &base)?;
+    Ok(Plan {
+        effects,
+        accuracy: Some(choice.accuracy),
+        ..choice.plan
+    })
+}
+
+/// The effects of a scene, what each does to its heights, and how it is modelled.
+fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect>> {
+    let methods = &scene.methods;
+    let plan = &choice.plan.clone();
+    let mut list = List(Vec::new());
+    list.randomness(scene, choice)?;
+    let image = Plan {
+        geometry_only: false,
+        ..plan.clone()
+    };
+    let (method, why) = match plan.geometry_only {
+        true => (NO_WIDTH, "no image is taken"),
+        false => ("image", "bends, edges and shadows shape the line"),
+    };
+    let no_image = choice.influence(|finest| *finest = geometry_only(finest.clone()))?;
+    let width = list.add("width of the line", !plan.geometry_only, method, no_image);
+    width.why = because(methods.geometry_only.is_some(), why);
+    width.cost_ms = Some(choice.pilot.cost_ms(&image));
+    if !plan.geometry_only {
+        list.image(methods, choice, plan)?;
+    }
+    let replaced = ["speckle", "pixel integration"];
+    let others = base.effects.iter();
+    let others = others.filter(|e| !replaced.contains(&e.effect));
+    list.0.extend(others.cloned().map(|mut effect| {
+        match effect.effect {
+            "defocus" => {
+                effect.influence_um = quantile(&choice.pilot.defocus());
+                effect.why = plan.defocus_in_words();
+            }
+            "diffraction of the lens" => {
+                effect.influence_um = quantile(&choice.pilot.diffraction())
+            }
+            SLIP => return slip_named(methods).unwrap_or(effect),
+            _ => {}
+        }
+        effect
+    }));
+    Ok(list.0)
+}
+
+fn because(named: bool, why: &str) -> String {
+    match named {
+        true => NAMED.into(),
+        false => why.into(),
+    }
+}
+
+struct List(Vec<Effect>);
+
+impl List {
+    fn add(
+        &mut self,
+        effect: &'static str,
+        modelled: bool,
+        method: &str,
+        influence_um: Option<f64>,
+    ) -> &mut Effect {
+        self.0.push(Effect {
+            influence_um,
+            ..Effect::new(effect, modelled, method.to_owned(), String::new())
+        });
+        self.0.last_mut().expect("it was pushed")
+    }
+
+    fn randomness(&mut self, scene: &Scene, choice: &mut Choice) -> Result<()> {
+        let methods = &scene.methods;
+        let plan = &choice.plan.clone();
+        let [speckle_ms, noise_ms] = choice.pilot.cost_of_randomness_ms(plan);
+        if scene.speckle.is_some() {
+            let influence = choice.influence(|finest| finest.speckle = None)?;
+            let modelled = plan.speckle.is_some();
+            let speckle = self.add("speckle", modelled, speckle_method(plan), influence);
+            let why = format!("grain {}", plan.grain);
+            speckle.why = because(methods.speckle.is_some(), &why);
+            speckle.cost_ms = Some(speckle_ms);
+        }
+        if scene.camera.sensor.noise.is_some() {
+            let influence = choice.influence(|finest| finest.noise = false)?;
+            let noise = self.add("sensor noise", plan.noise, noise_method(plan), influence);
+            noise.why = because(methods.noise.is_some(), "shot noise and read noise");
+            noise.cost_ms = Some(noise_ms);
+        }
+        Ok(())
+    }
+
+    /// How images are made, and what that still leaves.
+    fn image(&mut self, methods: &PlanTable, choice: &mut Choice, plan: &Plan) -> Result<()> {
+        let n = plan.samples_per_side;
+        let method = format!("{n} × {n} samples a pixel");
+        let left = choice.influence(|finest| finest.samples_per_side = n)?;
+        self.add("pixel integration", true, &method, left).why =
+            because(methods.samples_per_side.is_some(), "what these still leave");
+        let (modelled, method) = match plan.sampling {
+            Sampling::Rays => (true, "a ray for each sample"),
+            Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
+            Sampling::Planes => (false, "flat between pixels, rays at edges"),
+        };
+        let left = choice.influence(|finest| finest.sampling = plan.sampling)?;
+        self.add("surface within a pixel", modelled, method, left)
+            .why = because(methods.sampling.is_some(), "what facets that bend leave");
+        let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
+        let left = choice.influence(|finest| finest.cutoff_radii = plan.cutoff_radii)?;
+        self.add("light far from the line", false, &method, left)
+            .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
+        Ok(())
+    }
+}

@@ -1,0 +1,72 @@
+//! One frame with its truth, for looking at and for learning from.
+
+use super::ready;
+use super::{Control, Coverage, files, forecast};
+use crate::error::Result;
+use crate::frame::truth_layers;
+use crate::report::picture::encode_counts;
+use crate::scene::Scene;
+use exr::prelude::FlatSamples;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Serialize)]
+pub struct RenderSummary {
+    pub frame: u32,
+    /// What found the triangles rays met.
+    pub accel: String,
+    pub png: PathBuf,
+    pub exr: PathBuf,
+    pub max_count: u16,
+    pub mean_count: f64,
+}
+
+/// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
+/// the truth layers) to `out`.
+pub fn render(
+    scene: &Scene,
+    frame: u32,
+    coverage: Coverage,
+    out: &Path,
+    control: &Control,
+) -> Result<RenderSummary> {
+    super::check_frame(scene, frame)?;
+    forecast::require_render(scene)?;
+    files::create_folder(out)?;
+    let simulation = ready::simulation(scene, coverage, control)?;
+    control.check()?;
+    let irradiance = simulation.irradiance(frame);
+    let counts = simulation.counts(frame, &irradiance);
+    let all = counts.by_column();
+    let truth = truth_layers(&simulation.view(frame));
+    control.check()?;
+    let resolution = scene.camera.sensor.resolution;
+    let png = out.join(format!("frame-{frame:06}.png"));
+    let exr_path = png.with_extension("exr");
+    files::write_bytes(&png, &encode_counts(&counts))?;
+    let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
+    let mut channels = vec![
+        ("irradiance", FlatSamples::F32(irradiance.dense())),
+        ("depth", FlatSamples::F32(truth.depth)),
+        ("position.X", component(&truth.position, 0)),
+        ("position.Y", component(&truth.position, 1)),
+        ("position.Z", component(&truth.position, 2)),
+        ("normal.X", component(&truth.normal, 0)),
+        ("normal.Y", component(&truth.normal, 1)),
+        ("normal.Z", component(&truth.normal, 2)),
+        ("triangle", FlatSamples::U32(truth.triangle)),
+    ];
+    if scene.copies.len() > 1 {
+        channels.push(("copy", FlatSamples::U32(truth.copy)));
+    }
+    let size = (resolution.x as usize, resolution.y as usize);
+    files::write_exr(&exr_path, size, channels)?;
+    Ok(RenderSummary {
+        frame,
+        accel: scene.accel.version(),
+        png,
+        exr: exr_path,
+        max_count: all.iter().copied().max().unwrap_or(0),
+        mean_count: all.iter().map(|&c| c as f64).sum::<f64>() / all.len() as f64,
+    })
+}

@@ -1,0 +1,371 @@
+//! What a scan's report shows.
+
+mod frames;
+mod histograms;
+
+use super::Control;
+use super::scan::ScanSummary;
+use super::simulation::Simulation;
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::inspect::cloud::{CloudPoint, color_limit_um};
+use crate::inspect::coverage::HeadPose;
+use crate::inspect::flags::count_flags;
+use crate::laser::Laser;
+use crate::math::DVec3;
+use crate::plan::rules::Effect;
+use crate::report::chart::{color_bar, short};
+use crate::report::color::{Rgb, diverging, sequential};
+use crate::report::page::of_fate;
+use crate::report::page::{ColorMap, Report};
+use crate::report::picture::{ParallelView, part_picture};
+use crate::report::setup::Setup;
+use crate::report::viewer::{Layer, Mode, Viewer};
+
+/// Points and places in the viewer: what half a megabyte holds.
+const MOST_IN_VIEWER: usize = 60_000;
+
+/// Width of the pictures of the part, px.
+const PICTURE_WIDTH: usize = 900;
+
+const FLAGGED: Rgb = [200, 0, 120];
+const UNFLAGGED: Rgb = [150, 190, 200];
+
+pub struct Shown<'a> {
+    pub simulation: &'a Simulation,
+    /// Those of `frames`, in order of frames, then columns.
+    pub points: &'a [CloudPoint],
+    pub frames: std::ops::Range<u32>,
+    pub poses: &'a [HeadPose],
+    /// Whether frames were taken.
+    pub images: bool,
+    pub summary: &'a ScanSummary,
+    pub run: Vec<(&'static str, String)>,
+}
+
+/// A row of the report's table of what was modelled.
+fn plan_row(effect: &Effect) -> [String; 6] {
+    let modelled = if effect.modelled { "yes" } else { "no" };
+    let number = |n: Option<f64>| n.map_or(String::new(), short);
+    [
+        effect.effect.into(),
+        modelled.into(),
+        effect.method.clone(),
+        effect.why.clone(),
+        number(effect.influence_um),
+        number(effect.cost_ms),
+    ]
+}
+
+impl Shown<'_> {
+    pub fn report(self, control: &Control) -> Result<Report> {
+        let plan = &self.simulation.plan;
+        let limits = Limits::of(self.points);
+        let maps = match self.summary.deviation {
+            Some(_) => self.maps(&limits, control)?,
+            None => Vec::new(),
+        };
+        Ok(Report {
+            title: "Laser-triangulation scan".into(),
+            lead: self.lead(),
+            facts: self.facts(),
+            viewer: Some(self.viewer(&limits)),
+            maps,
+            statistics: self.summary.deviation.clone(),
+            histograms: match self.summary.deviation {
+                Some(_) => self.histograms(&limits),
+                None => Vec::new(),
+            },
+            flags: count_flags(self.points),
+            setup: self.setup(),
+            frames: match self.images {
+                true => self.sample_frames(),
+                false => Vec::new(),
+            },
+            plan: plan.effects.iter().map(plan_row).collect(),
+            accuracy: plan.accuracy.as_ref().map(|a| a.statement.clone()),
+            coverage: self.summary.coverage.clone(),
+            run: self.run,
+        })
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        let scene = &self.simulation.scene;
+        let plan = &self.simulation.plan;
+        let size = self.simulation.accel.bounds().size();
+        let [x, y, z] = size.to_array().map(short);
+        let part = format!("{}: {} triangles", scene.part, scene.mesh.triangles.len());
+        let part = match scene.copies.len() {
+            1 => part,
+            copies => format!("{copies} copies of {part}"),
+        };
+        let [across, along] = [self.poses.first(), self.poses.last()]
+            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
+        vec![
+            ("scene", scene.path.display().to_string()),
+            ("part", format!("{part}; {x} × {y} × {z} mm")),
+            ("laser", laser(&scene.laser)),
+            ("camera", camera(&scene.camera)),
+            (
+                "frames",
+                format!(
+                    "{}, over {} mm",
+                    self.frames.len(),
+                    short((along - across).length())
+                ),
+            ),
+            (
+                "sensor columns with a point",
+                format!("{} %", short(self.summary.measured_share * 100.0)),
+            ),
+            (
+                "points out of focus",
+                match self.summary.blurred_share {
+                    None => "no points".into(),
+                    Some(share) => format!(
+                        "{} % have a blur wider than two standard deviations of their line; \
+                         it is not modelled",
+                        short(share * 100.0)
+                    ),
+                },
+            ),
+            (
+                "height of 1 px",
+                format!("{} µm", short(1e3 / plan.px_per_mm)),
+            ),
+            ("speckle size", plan.grain.to_string()),
+        ]
+    }
+
+    fn maps(&self, limits: &Limits, control: &Control) -> Result<Vec<ColorMap>> {
+        let views = self.views();
+        control.check()?;
+        let mut maps = vec![self.map(
+            "Deviation from the CAD surface",
+            color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
+                diverging(d, limits.deviation_um)
+            }),
+            "Red: outside the material. Blue: inside. Valid points only.",
+            &views,
+            &|p| diverging(p.deviation * 1e3, limits.deviation_um),
+            &|p| p.is_sound(),
+        )];
+        control.check()?;
+        maps.push(self.map(
+            "Standard uncertainty of the deviation",
+            color_bar(0.0, limits.sigma_um, "µm", &|s| {
+                sequential(s, limits.sigma_um)
+            }),
+            "Predicted for each point from speckle, noise and calibration; not stated for \
+             those flagged outside. Valid points only.",
+            &views[..2],
+            &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
+            &|p| p.is_sound(),
+        ));
+        control.check()?;
+        Ok(maps)
+    }
+
+    fn sound(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
+        self.points.iter().filter(|p| p.is_sound())
+    }
+
+    fn lead(&self) -> String {
+        let warnings = self.summary.warnings.iter().map(|w| w.message.as_str());
+        let warnings = warnings.collect::<Vec<_>>().join(" ");
+        let Some(d) = &self.summary.deviation else {
+            return warnings;
+        };
+        let warnings = match warnings.as_str() {
+            "" => String::new(),
+            warnings => format!(" Warning: {warnings}"),
+        };
+        format!(
+            "{} of {} points are valid. Their deviation from the CAD is {} ± {} µm (mean and \
+             standard deviation); 98 % of them are between {} and {} µm.{warnings}",
+            d.points,
+            self.points.len(),
+            short(d.mean_um),
+            short(d.std_um),
+            short(d.percentiles_um[0].1),
+            short(d.percentiles_um[6].1)
+        )
+    }
+
+    fn map(
+        &self,
+        title: &'static str,
+        bar: String,
+        legend: &'static str,
+        views: &[(&'static str, ParallelView)],
+        color: &dyn Fn(&CloudPoint) -> Rgb,
+        shown: &dyn Fn(&CloudPoint) -> bool,
+    ) -> ColorMap {
+        let views = views.iter().map(|&(caption, view)| {
+            let points = self.points.iter().filter(|p| shown(p));
+            let points = points.map(|p| (p.position, color(p)));
+            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_WIDTH);
+            (caption, picture.png)
+        });
+        ColorMap {
+            title,
+            bar,
+            legend,
+            views: views.collect(),
+        }
+    }
+
+    fn middle(&self) -> HeadPose {
+        self.poses[self.poses.len() / 2]
+    }
+
+    /// The part as the laser sees it, and obliquely from the camera's side, from
+    /// the other and along the line.
+    fn views(&self) -> Vec<(&'static str, ParallelView)> {
+        let HeadPose {
+            part_from_laser,
+            part_from_camera,
+        } = self.middle();
+        let right = part_from_laser.rotation.x_axis;
+        let beam = part_from_laser.rotation.z_axis;
+        let camera = part_from_camera.rotation.z_axis;
+        let away = camera
+            - 2.0 * part_from_laser.rotation.y_axis * camera.dot(part_from_laser.rotation.y_axis);
+        let looking = |into: DVec3, hint: DVec3| {
+            let right = (hint - into * hint.dot(into)).normalize();
+            // The laser is above.
+            let upside_down = into.cross(right).dot(beam) < -1e-9;
+            let right = if upside_down { -right } else { right };
+            ParallelView {
+                right,
+                down: into.cross(right),
+            }
+        };
+        // Between a way of looking and the line itself, so that walls show.
+        let oblique = |from: DVec3, side: f64| (from + side * right + 0.3 * beam).normalize();
+        vec![
+            ("along the laser beam", looking(beam, right)),
+            (
+                "from the camera's side",
+                looking(oblique(camera, -0.6), right),
+            ),
+            ("from the other side", looking(oblique(away, 0.6), right)),
+            (
+                "from one end of the line",
+                looking(
+                    (right + 0.5 * beam).normalize(),
+                    part_from_laser.rotation.y_axis,
+                ),
+            ),
+        ]
+    }
+
+    fn viewer(&self, limits: &Limits) -> Viewer {
+        let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
+        let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
+        let mode = |name, caption: String, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
+            name,
+            caption,
+            colors: shown.iter().map(|p| color(p)).collect(),
+        };
+        let (d, s) = (limits.deviation_um, limits.sigma_um);
+        let cloud = Layer {
+            positions: shown.iter().map(|p| p.position).collect(),
+            modes: vec![
+                mode(
+                    "deviation",
+                    format!("Deviation: blue {} µm, red {} µm.", short(-d), short(d)),
+                    &|p| diverging(p.deviation * 1e3, d),
+                ),
+                mode(
+                    "standard uncertainty",
+                    format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
+                    &|p| sequential(p.deviation_sigma * 1e3, s),
+                ),
+                mode(
+                    "flags",
+                    "Valid points grey-blue; points with a flag other than \"outside\" magenta."
+                        .into(),
+                    &|p| {
+                        if p.is_sound() { UNFLAGGED } else { FLAGGED }
+                    },
+                ),
+            ],
+        };
+        let any = self.summary.deviation.is_some();
+        let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
+        layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {
+            positions: coverage.places.iter().map(|(p, _)| *p).collect(),
+            modes: vec![Mode {
+                    name: "coverage of the CAD",
+                    caption: "Places on the CAD: green measured, yellow weak signal, violet hidden \
+                              from the camera, grey hidden from the laser, light grey outside."
+                        .into(),
+                    colors: coverage.places.iter().map(|(_, f)| of_fate(*f)).collect(),
+                }],
+        }));
+        Viewer {
+            bounds: self.simulation.accel.bounds(),
+            look: [0.6, 0.6],
+            layers,
+        }
+    }
+
+    fn setup(&self) -> Vec<(&'static str, String)> {
+        let scene = &self.simulation.scene;
+        let path: Vec<DVec3> = self
+            .poses
+            .iter()
+            .step_by(self.poses.len().div_ceil(200))
+            .map(|pose| pose.part_from_laser.translation)
+            .collect();
+        let setup = Setup {
+            accel: &self.simulation.accel,
+            laser: &scene.laser,
+            camera: &scene.camera,
+            pose: self.middle(),
+            path: &path,
+        };
+        setup.drawings().into()
+    }
+}
+
+/// A number of the scene, without the digits that conversion of its unit adds.
+fn given(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
+}
+
+fn laser(laser: &Laser) -> String {
+    let (power, wavelength) = (laser.beam.power_mw, given(laser.beam.wavelength * 1e6));
+    let shape = laser.fan.map_or("a spot".into(), |fan| {
+        format!("a line of {}°", given(fan.angle.to_degrees()))
+    });
+    format!("{wavelength} nm, {} mW, {shape}", given(power))
+}
+
+fn camera(camera: &Camera) -> String {
+    let (lens, sensor) = (&camera.lens, &camera.sensor);
+    format!(
+        "{} × {} pixels of {} µm, lens of {} mm at f/{}",
+        sensor.resolution.x,
+        sensor.resolution.y,
+        given(sensor.pixel_pitch * 1e3),
+        given(lens.focal_length),
+        given(lens.f_number)
+    )
+}
+
+/// Where the colours end ([`color_limit_um`]).
+struct Limits {
+    deviation_um: f64,
+    sigma_um: f64,
+}
+
+impl Limits {
+    fn of(points: &[CloudPoint]) -> Limits {
+        Limits {
+            deviation_um: color_limit_um(points, |p| p.deviation),
+            sigma_um: color_limit_um(points, |p| p.deviation_sigma),
+        }
+    }
+}

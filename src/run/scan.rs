@@ -1,0 +1,378 @@
+//! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
+//! all, the manifest that says the run is complete.
+
+use super::frames::Run;
+use super::journal::{Journal, RunKey};
+use super::ready;
+use super::reason::Warning;
+use super::report::Shown;
+use super::simulation::Simulation;
+use super::warnings::{self, Foreseen};
+use super::{Control, Coverage, files, forecast};
+use crate::error::{Error, Result};
+use crate::inspect::align::{Alignment, best_fit};
+use crate::inspect::cloud::{self, CloudPoint};
+use crate::inspect::coverage::{HeadPose, Scanned, SurfaceCoverage, coverage};
+use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::flags::count_flags;
+use crate::inspect::uncertainty::UncertaintyStatistics;
+use crate::math::DVec3;
+use crate::plan::accuracy::Accuracy;
+use crate::plan::rules::Plan;
+use crate::report::chart::short;
+use crate::report::formats::Format;
+use crate::scene::Scene;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::time::{Duration, Instant, SystemTime};
+
+/// `summary.json`.
+#[derive(Debug, Serialize)]
+pub struct ScanSummary {
+    pub scene: PathBuf,
+    pub frames: u32,
+    pub columns: u32,
+    /// Share of all columns of all frames in which a point was measured.
+    pub measured_share: f64,
+    pub points: usize,
+    /// Share of the points at which the lens's blur, which images do not have, is wider than
+    /// two standard deviations of their line; `null` if there is none.
+    pub blurred_share: Option<f64>,
+    /// Of valid points ([`CloudPoint::is_sound`]); `null` if there is none.
+    pub deviation: Option<DeviationStatistics>,
+    /// Of all points.
+    pub deviation_of_all: Option<DeviationStatistics>,
+    /// `null` if no point is free of flags.
+    pub uncertainty: Option<UncertaintyStatistics>,
+    /// Number of points with each flag.
+    pub flags: BTreeMap<&'static str, usize>,
+    /// `null` if the scene does not ask for it or too few points were measured.
+    pub alignment: Option<Alignment>,
+    /// What was planned for the scene's tolerance, if it states one.
+    pub accuracy: Option<Accuracy>,
+    pub coverage: Option<SurfaceCoverage>,
+    /// What spoils the scan; empty for a good one.
+    pub warnings: Vec<Warning>,
+    pub cloud: PathBuf,
+    pub report: PathBuf,
+    /// The frame shown in the report, if one was taken, and the cloud over the part.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// `manifest.json`: what was run, with what, and how long it took.
+#[derive(Serialize)]
+struct Manifest<'a> {
+    program: &'static str,
+    scene: &'a Path,
+    #[serde(flatten)]
+    key: &'a RunKey,
+    /// Frames that an earlier run had finished.
+    frames_kept: usize,
+    coverage: Coverage,
+    plan: &'a Plan,
+    threads: usize,
+    /// When the run ended, UTC.
+    date: String,
+    seconds_prepare: f64,
+    seconds_frames: f64,
+    seconds_report: f64,
+}
+
+/// What of a scan to run, and how.
+#[derive(Debug, Clone)]
+pub struct ScanOptions {
+    pub coverage: Coverage,
+    /// Half-open; `None`: all.
+    pub frames: Option<Range<u32>>,
+    /// Keep the frames that an earlier run finished.
+    pub resume: bool,
+    /// No images: profiles from laser rays and what the camera sees of them.
+    pub geometry_only: bool,
+    /// A scan that cannot give anything worth having is an error, before it starts.
+    pub strict: bool,
+    /// Forms of the cloud and the profiles beside PLY and CSV.
+    pub also: Vec<Format>,
+}
+
+/// Runs the frames and writes `cloud.ply`, `profiles/`, `summary.json`,
+/// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
+/// the scene asks for them. What an earlier run left there under these names goes
+/// first, but with `resume` the frames whose record and files are whole.
+///
+/// While frames are taken, memory does not grow with their number; for the report
+/// all points are read back, some 100 bytes each.
+pub fn scan(
+    scene: &Scene,
+    options: &ScanOptions,
+    out: &Path,
+    control: &Control,
+) -> Result<ScanSummary> {
+    let start = Instant::now();
+    let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
+    super::check_frames(scene, &frames)?;
+    check_geometry(scene, options)?;
+    forecast::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
+    let key = RunKey {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        accel: scene.accel.version(),
+        scene_sha256: scene.hash.clone(),
+        seed: scene.seed,
+        frames: frames.clone(),
+        geometry_only: options.geometry_only,
+    };
+    refuse_worthless(scene, options, &frames, control)?;
+    files::create_folder(out)?;
+    let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
+    clear(scene, out, kept.is_empty())?;
+    let simulation = match options.geometry_only {
+        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?)?,
+        false => ready::simulation(scene, options.coverage, control)?,
+    };
+    let prepared = Instant::now();
+
+    let run = Run {
+        simulation: &simulation,
+        out,
+        control,
+        done: AtomicU64::new(kept.len() as u64),
+    };
+    run.repair(frames.start, &kept)?;
+    run.frames(frames.start + kept.len() as u32..frames.end, &mut journal)?;
+    let measured = Instant::now();
+
+    let summary = finish(
+        &simulation,
+        options,
+        &frames,
+        &journal,
+        (out, control),
+        run_table(&key, prepared - start, measured - prepared, kept.len()),
+    )?;
+    journal.sync()?;
+    control.check()?;
+    let manifest = Manifest {
+        program: env!("CARGO_PKG_NAME"),
+        scene: &scene.path,
+        key: &key,
+        frames_kept: kept.len(),
+        coverage: options.coverage,
+        plan: &simulation.plan,
+        threads: rayon::current_num_threads(),
+        date: date(),
+        seconds_prepare: (prepared - start).as_secs_f64(),
+        seconds_frames: (measured - prepared).as_secs_f64(),
+        seconds_report: measured.elapsed().as_secs_f64(),
+    };
+    files::write_json(&out.join("manifest.json"), &manifest)?;
+    warnings::refuse(&summary.warnings, options.strict)?;
+    Ok(summary)
+}
+
+/// Refuses, if the scan is strict, one that will give nothing worth having, while what
+/// an earlier run left is still there.
+fn refuse_worthless(
+    scene: &Scene,
+    options: &ScanOptions,
+    frames: &Range<u32>,
+    control: &Control,
+) -> Result<()> {
+    if !options.strict {
+        return Ok(());
+    }
+    let accel = ready::hierarchy_watched(scene, control)?;
+    let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
+    let Foreseen { warnings, .. } = warnings::foreseen(scene, &accel, frames.clone(), images);
+    warnings::refuse(&warnings, true)
+}
+
+/// Makes the folders for profiles and frames, free of an earlier run's files if this
+/// one starts `anew`. The manifest goes first: from here on the run is not complete.
+fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
+    let (profiles, frames) = (out.join("profiles"), out.join("frames"));
+    files::create_own_folder(&profiles)?;
+    for name in [
+        "manifest.json",
+        "summary.json",
+        "report.html",
+        "cloud.ply",
+        "frame.png",
+        "cloud.png",
+    ]
+    .into_iter()
+    .chain(Format::ALL.map(Format::file_name))
+    {
+        files::remove(&out.join(name))?;
+    }
+    if anew {
+        files::remove_all(&profiles, "profile-")?;
+        files::remove_all(&frames, "frame-")?;
+    }
+    if scene.write_frames {
+        files::create_own_folder(&frames)?;
+    }
+    Ok(())
+}
+
+/// The points of all frames, and the share of them that the lens would blur widely.
+fn points_of(journal: &Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
+    let (mut points, mut blurred) = (Vec::new(), 0);
+    for record in journal.records()? {
+        points.extend(record.points);
+        blurred += record.blurred;
+    }
+    let share = || blurred as f64 / points.len() as f64;
+    let share = (!points.is_empty()).then(share);
+    Ok((points, share))
+}
+
+/// From the points of all frames to cloud, pictures, report and summary.
+fn finish(
+    simulation: &Simulation,
+    options: &ScanOptions,
+    frames: &Range<u32>,
+    journal: &Journal,
+    (out, control): (&Path, &Control),
+    run: Vec<(&'static str, String)>,
+) -> Result<ScanSummary> {
+    let scene = &simulation.scene;
+    let (mut points, blurred_share) = points_of(journal)?;
+    simulation.compare_frames(frames.clone(), &mut points);
+    let alignment = align(simulation, &mut points);
+    control.check()?;
+    let poses = frames.clone().map(|frame| simulation.head_pose(frame));
+    let poses: Vec<HeadPose> = poses.collect();
+    let coverage = coverage(&Scanned {
+        accel: &simulation.accel,
+        laser: &scene.laser,
+        camera: &scene.camera,
+        first_frame: frames.start,
+        poses: &poses,
+        points: &points,
+    });
+    control.check()?;
+    let mut summary = summary(scene, frames, &points, out);
+    let images = !simulation.plan.geometry_only;
+    let Foreseen { warnings, .. } =
+        warnings::foreseen(scene, &simulation.accel, frames.clone(), images);
+    summary.warnings = warnings::found(&points, frames.len(), &warnings);
+    summary.alignment = alignment;
+    summary.accuracy = simulation.plan.accuracy.clone();
+    summary.coverage = coverage;
+    summary.blurred_share = blurred_share;
+    files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
+    for format in &options.also {
+        control.check()?;
+        let bytes = format.bytes(&points).map_err(Error::io("write", out))?;
+        files::write_bytes(&out.join(format.file_name()), &bytes)?;
+    }
+    let shown = Shown {
+        simulation,
+        points: &points,
+        frames: frames.clone(),
+        poses: &poses,
+        images,
+        summary: &summary,
+        run,
+    };
+    let report = shown.report(control)?;
+    let frame = report.frames.first().map(|frame| &frame.png);
+    let cloud = report.maps.first().and_then(|map| map.views.get(1));
+    let cloud = cloud.map(|(_, png)| png);
+    for (name, png) in [("frame.png", frame), ("cloud.png", cloud)] {
+        if let Some(png) = png {
+            let path = out.join(name);
+            files::write_bytes(&path, png)?;
+            summary.pictures.push(path);
+        }
+    }
+    files::write_bytes(&summary.report, report.html().as_bytes())?;
+    files::write_json(&out.join("summary.json"), &summary)?;
+    Ok(summary)
+}
+
+/// Brings the cloud onto the CAD if the scene asks for it. Doubtful points move
+/// along, but say nothing.
+fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment> {
+    if !simulation.scene.measure.align {
+        return None;
+    }
+    let sound = points.iter().filter(|p| p.is_sound());
+    let positions: Vec<DVec3> = sound.map(|p| p.position).collect();
+    let fit = best_fit(&simulation.accel, &positions)?;
+    points
+        .par_iter_mut()
+        .for_each(|point| *point = simulation.moved(point, &fit.part_from_measured));
+    Some(fit)
+}
+
+fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path) -> ScanSummary {
+    let columns = scene.camera.sensor.resolution.x;
+    let sound = points.iter().filter(|p| p.is_sound());
+    let flags = count_flags(points).into_iter();
+    ScanSummary {
+        scene: scene.path.clone(),
+        frames: frames.len() as u32,
+        columns,
+        measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
+        points: points.len(),
+        blurred_share: None,
+        deviation: DeviationStatistics::of(sound.map(|p| p.deviation)),
+        deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
+        uncertainty: UncertaintyStatistics::of(points),
+        flags: flags.map(|flag| (flag.name, flag.points)).collect(),
+        alignment: None,
+        accuracy: None,
+        coverage: None,
+        warnings: Vec::new(),
+        cloud: out.join("cloud.ply"),
+        report: out.join("report.html"),
+        pictures: Vec::new(),
+    }
+}
+
+/// What geometry alone cannot give.
+fn check_geometry(scene: &Scene, options: &ScanOptions) -> Result<()> {
+    let needs = match scene.laser.fan {
+        _ if !options.geometry_only => return Ok(()),
+        None => "a line laser (laser.line)",
+        Some(_) if scene.write_frames => "a scene without write_frames, as there are none",
+        Some(_) => return Ok(()),
+    };
+    let path = scene.path.display();
+    Err(Error::Usage(format!(
+        "geometry alone on {path}: expected {needs}"
+    )))
+}
+
+/// Of now, in UTC.
+fn date() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
+
+/// What the report says of the run.
+fn run_table(
+    key: &RunKey,
+    preparing: Duration,
+    taking: Duration,
+    kept: usize,
+) -> Vec<(&'static str, String)> {
+    let rate = (key.frames.len() - kept) as f64 / taking.as_secs_f64();
+    let seconds = |duration: Duration| format!("{} s", short(duration.as_secs_f64()));
+    vec![
+        ("date", date()),
+        ("lasertrace", key.version.clone()),
+        ("intersection", key.accel.clone()),
+        ("scene", format!("SHA-256 {}", key.scene_sha256)),
+        ("seed", key.seed.to_string()),
+        ("threads", rayon::current_num_threads().to_string()),
+        ("preparing", seconds(preparing)),
+        (
+            "frames",
+            format!("{}, {} frames a second", seconds(taking), short(rate)),
+        ),
+    ]
+}

@@ -1,0 +1,297 @@
+//! Speckle of a scan: the patterns, how they lie over the sensor, and how they
+//! follow the part.
+
+use super::surface_view::{in_camera, lit_normal, surface_view};
+use crate::accel::Accel;
+use crate::camera::CameraModel;
+use crate::error::Result;
+use crate::frame::{Patterns, Reference, Speckle, Strips};
+use crate::math::Aperture;
+use crate::math::{DVec2, DVec3, Rigid};
+use crate::plan::rules::SpeckleStep;
+use crate::scene::{Motion, Moves, Scene, SpeckleModel};
+use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
+use crate::speckle::coordinate::GrainMap;
+use crate::speckle::frame_field::{FrameFields, field_spec};
+use crate::speckle::lookup::{Lookup, Method};
+use crate::speckle::motion::overlap_correlation_defocused;
+use crate::speckle::path::PathAnchor;
+use crate::speckle::pattern::PatternSpec;
+use crate::speckle::strips::Strip;
+
+pub struct ScanSpeckle {
+    source: PatternSource,
+    map: GrainMap,
+    anchor: Anchor,
+}
+
+enum PatternSource {
+    Frame {
+        fields: FrameFields,
+        /// Whether in strips that refer to other poses.
+        strips: bool,
+    },
+    Ring {
+        lookup: Lookup,
+        per_pixel: bool,
+    },
+}
+
+enum Anchor {
+    /// Nothing turns: exact over any length.
+    Pose(Box<PoseAnchor>),
+    Path(PathAnchor),
+}
+
+impl Anchor {
+    /// `place` is that of the pose on the path.
+    fn coordinate(&self, place: f64, part_from_head: &Rigid) -> ScanCoordinate {
+        match self {
+            Anchor::Pose(anchor) => anchor.coordinate(part_from_head),
+            Anchor::Path(anchor) => anchor.coordinate(place),
+        }
+    }
+
+    /// The poses to which a pose's strips refer; `None` where they would not be limited.
+    fn references(
+        &self,
+        scene: &Scene,
+        place: f64,
+        part_from_head: &Rigid,
+        width: f64,
+    ) -> Option<[PathReference; 2]> {
+        match self {
+            Anchor::Pose(anchor) => anchor.references(part_from_head, width),
+            Anchor::Path(anchor) => {
+                let pose = |place| scene.part_from_head_at(place);
+                Some(anchor.references(place, width, pose))
+            }
+        }
+    }
+
+    fn along(&self) -> DVec2 {
+        match self {
+            Anchor::Pose(anchor) => anchor.along(),
+            Anchor::Path(anchor) => anchor.along(),
+        }
+    }
+}
+
+/// The patterns of a scan as a ring, ten slices a pupil diameter.
+fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
+    PatternSpec {
+        slices: 32,
+        aperture,
+        seed,
+        ..PatternSpec::default()
+    }
+}
+
+impl ScanSpeckle {
+    /// `strips`: whether the surface of `accel` moves otherwise from place to place.
+    pub fn new(
+        scene: &Scene,
+        accel: &Accel,
+        model: &SpeckleModel,
+        strips: bool,
+    ) -> Result<ScanSpeckle> {
+        let wavelength = scene.laser.beam.wavelength;
+        let grain = scene.camera.speckle_angle(wavelength);
+        let distance = scene.camera.lens.image_distance();
+        let anchor = match strips {
+            true => anchor(scene, true, lit_normal(scene, accel)),
+            false => anchor(scene, false, None),
+        };
+        let (source, map) = match model.method {
+            Method::Field => {
+                let spec = field_spec(scene.seed, model.aperture);
+                let fields = FrameFields::new(&spec, model.coherence)?;
+                let map = fields.map(grain, distance);
+                (PatternSource::Frame { fields, strips }, map)
+            }
+            Method::Trilinear | Method::Prefiltered { .. } => {
+                let spec = ring_spec(scene.seed, model.aperture);
+                let source = PatternSource::Ring {
+                    lookup: Lookup::new(&spec, model.method, model.coherence)?,
+                    per_pixel: model.method != Method::Trilinear,
+                };
+                let map = GrainMap::new(spec.texels_per_speckle, grain, distance);
+                (source, map)
+            }
+        };
+        Ok(ScanSpeckle {
+            source,
+            map,
+            anchor,
+        })
+    }
+
+    /// Bytes of the patterns that reading takes.
+    pub fn memory(&self) -> usize {
+        match &self.source {
+            PatternSource::Ring { lookup, .. } => lookup.memory(),
+            PatternSource::Frame { fields, strips } => {
+                let count = if *strips { 2 } else { 1 };
+                count * fields.field_memory()
+            }
+        }
+    }
+
+    pub fn at(&self, scene: &Scene, place: f64, part_from_head: &Rigid) -> Speckle<'_> {
+        let at = self.anchor.coordinate(place, part_from_head);
+        let patterns = match &self.source {
+            PatternSource::Frame { fields, strips } => {
+                let width = fields.strip_width();
+                let references = || (self.anchor).references(scene, place, part_from_head, width);
+                match strips.then(references).flatten() {
+                    Some(references) => Patterns::Strips {
+                        fields,
+                        strips: Box::new(self.strips(scene, &at, part_from_head, references)),
+                    },
+                    None => Patterns::Frame {
+                        fields,
+                        place: at.pupil,
+                    },
+                }
+            }
+            PatternSource::Ring { lookup, per_pixel } => Patterns::Ring {
+                lookup,
+                slice: at.u * lookup.slices_per_diameter(),
+                per_pixel: *per_pixel,
+            },
+        };
+        Speckle {
+            patterns,
+            map: self.map,
+            displacement: on_sensor(at.sensor),
+        }
+    }
+
+    /// The strips of a pose, in the camera's frame.
+    fn strips(
+        &self,
+        scene: &Scene,
+        at: &ScanCoordinate,
+        part_from_head: &Rigid,
+        references: [PathReference; 2],
+    ) -> Strips {
+        let head_from_camera = scene.head_from_camera;
+        let along = on_sensor(self.anchor.along());
+        Strips {
+            pupil: on_sensor(at.pupil.shift),
+            along,
+            view: in_camera(&surface_view(scene, None), &head_from_camera.inverse()),
+            strips: references.map(|reference| Reference {
+                strip: Strip {
+                    number: reference.number,
+                    reference: on_sensor(reference.at.pupil.shift),
+                    defocus: reference.at.pupil.defocus - at.pupil.defocus,
+                    aside: along.perp() * reference.aside,
+                },
+                then_from_now: head_from_camera.inverse()
+                    * reference.part_from_head.inverse()
+                    * *part_from_head
+                    * head_from_camera,
+                displacement: on_sensor(reference.at.sensor),
+            }),
+        }
+    }
+}
+
+/// A displacement as (columns, rows): a view's second axis points up, the sensor's
+/// rows go down.
+fn on_sensor(displacement: DVec2) -> DVec2 {
+    DVec2::new(displacement.x, -displacement.y)
+}
+
+/// What ties the patterns to the part along the scene's path; `strips` if they move
+/// otherwise from place to place. `normal` is that of the surface (head's frame), across
+/// the beam if it is not known.
+fn anchor(scene: &Scene, strips: bool, normal: Option<DVec3>) -> Anchor {
+    let mut view = surface_view(scene, None);
+    view.normal = normal.unwrap_or(view.normal);
+    if strips {
+        view.magnification = scene.camera.lens.magnification();
+    }
+    let scan = &scene.scan;
+    let wavelength = scene.laser.beam.wavelength;
+    let first = scene.part_from_head(0);
+    let ways = |frame| {
+        first
+            .inverse()
+            .vector(scene.part_from_head(frame).translation - first.translation)
+    };
+    let direction = match &scan.motion {
+        _ if scan.turns() => {
+            // A rotary table turns alike from each frame to the next.
+            let frames = match scan.motion {
+                Motion::Rotary { .. } => 2,
+                _ => scan.frames,
+            };
+            let poses = (0..frames).map(|frame| scene.part_from_head(frame));
+            return Anchor::Path(PathAnchor::new(view, poses, wavelength));
+        }
+        Motion::Linear { step } if scan.moves == Moves::Head => *step,
+        Motion::Linear { step } => -*step,
+        // The farthest from the first: the last may be there again.
+        _ => (0..scan.frames)
+            .map(ways)
+            .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()))
+            .unwrap_or(DVec3::ZERO),
+    };
+    Anchor::Pose(Box::new(PoseAnchor::new(
+        view, &first, direction, wavelength,
+    )))
+}
+
+/// What a step of the scan does to speckle; `field` whether the method reads fields,
+/// which alone have strips.
+pub fn step_of_speckle(scene: &Scene, field: bool) -> SpeckleStep {
+    let anchor = anchor(scene, true, None);
+    let poses = [0.0, 1.0].map(|place| scene.part_from_head_at(place));
+    let [from, to] = [0, 1].map(|i| anchor.coordinate(i as f64, &poses[i]));
+    let delta = (to.pupil.shift - from.pupil.shift).length();
+    let phase = to.pupil.defocus - from.pupil.defocus;
+    let lens = &scene.camera.lens;
+    let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    // −m·b and −A_p/D.
+    let shift = lens.magnification() * lens.pupil_diameter() * (to.pupil.shift - from.pupil.shift);
+    let slip = (to.sensor - from.sensor - shift).length();
+    let limited = |_: &f64| field && anchor.references(scene, 0.0, &poses[0], 1.0).is_some();
+    let point = surface_view(scene, None).point;
+    let way = poses[0]
+        .inverse()
+        .vector(poses[1].point(point) - poses[0].point(point));
+    SpeckleStep {
+        across_sheet: way.dot(scene.head_from_laser.rotation.y_axis),
+        gamma: overlap_correlation_defocused(delta, phase),
+        slip_grains: Some(slip / grain).filter(limited),
+        turn_grains: match scene.scan.turns() {
+            true => spread(scene, point, &poses) / grain,
+            false => 0.0,
+        },
+    }
+}
+
+/// How far (mm on the sensor) what the corners see, as far from the lens as `point` (head's
+/// frame), moves otherwise between two poses than `point` does.
+fn spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
+    let camera = &scene.camera;
+    let head_from_camera = scene.head_from_camera;
+    let [now, then] = poses.map(|part_from_head| part_from_head * head_from_camera);
+    let then_from_now = then.inverse() * now;
+    let model = CameraModel {
+        distortion: None,
+        ..camera.model()
+    };
+    let point = head_from_camera.inverse().point(point);
+    let moved = |p: DVec3| Some(model.project(then_from_now.point(p))? - model.project(p)?);
+    let size = camera.sensor.resolution.as_dvec2();
+    let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
+    let ways = corners.into_iter().filter_map(|corner| {
+        let behind = camera.sensor_point(corner);
+        let there = moved(behind * (point.z / behind.z))?;
+        Some((there - moved(point)?).length() * camera.sensor.pixel_pitch)
+    });
+    ways.fold(0.0, f64::max)
+}

@@ -1,0 +1,264 @@
+//! A scene made ready to take frames: hierarchy built, plan made, speckle
+//! patterns computed. Each frame depends on its number alone.
+
+use super::forecast;
+use super::measure::error_model;
+use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::surface_view::surface_view;
+use crate::accel::{Accel, Clusters};
+use crate::camera::Counts;
+use crate::error::Result;
+use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, View};
+use crate::math::Rigid;
+use crate::math::rng::{Key, Purpose};
+use crate::plan::in_view::{InView, Optics};
+use crate::plan::rules::Plan;
+use crate::plan::rules::{ExposureMotion, SpeckleOptics};
+use crate::profile::{Calibration, ErrorModel, Peak};
+use crate::scene::{Scene, SpeckleModel};
+use crate::speckle::lookup::Method;
+use std::ops::Range;
+use std::sync::Arc;
+
+pub struct Simulation {
+    pub scene: Scene,
+    pub accel: Arc<Accel>,
+    pub plan: Plan,
+    /// What the measurement knows of the sensor.
+    pub calibration: Calibration,
+    speckle: Option<Arc<ScanSpeckle>>,
+    /// `None`: every sample is traced.
+    clusters: Option<Arc<Clusters>>,
+    /// The scene's sensor, without noise if the plan leaves it out.
+    readout: Readout,
+    pub(crate) errors: ErrorModel,
+    /// `None`: profiles come from images.
+    pub(crate) sheet: Option<Sheet>,
+}
+
+impl Simulation {
+    /// The same, tracing only what may see lit surface.
+    pub(crate) fn with_clusters(self, clusters: Arc<Clusters>) -> Simulation {
+        Simulation {
+            clusters: Some(clusters),
+            ..self
+        }
+    }
+
+    /// One that does what `plan` says.
+    pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
+        if !plan.geometry_only {
+            forecast::require_images(scene, 1)?;
+        }
+        let speckle = match (&scene.speckle, plan.speckle) {
+            (Some(model), Some(method)) => {
+                let model = SpeckleModel { method, ..*model };
+                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips)?;
+                Some(Arc::new(patterns))
+            }
+            _ => None,
+        };
+        Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+    }
+
+    /// The same done by another plan; patterns of speckle are shared where both have the
+    /// same.
+    pub(crate) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
+        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips);
+        let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
+            let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
+            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared)
+        } else {
+            Simulation::with_plan(&self.scene, self.accel.clone(), plan)?
+        };
+        Ok(Simulation {
+            clusters: self.clusters.clone(),
+            ..other
+        })
+    }
+
+    fn with_patterns(
+        scene: &Scene,
+        accel: Arc<Accel>,
+        plan: Plan,
+        speckle: Option<Arc<ScanSpeckle>>,
+    ) -> Simulation {
+        let mut sensor = scene.camera.sensor.clone();
+        sensor.noise = sensor.noise.filter(|_| plan.noise);
+        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
+        Simulation {
+            scene: scene.clone(),
+            accel,
+            calibration: scene
+                .calibration
+                .clone()
+                .unwrap_or_else(|| perfect_calibration(scene)),
+            speckle,
+            clusters: None,
+            readout: Readout::new(sensor, scene.laser.beam.wavelength),
+            errors: error_model(scene),
+            sheet: scene
+                .laser
+                .fan
+                .as_ref()
+                .filter(|_| plan.geometry_only)
+                .map(sheet),
+            plan,
+        }
+    }
+
+    /// Bytes of the patterns of speckle.
+    pub(crate) fn speckle_memory(&self) -> usize {
+        self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
+    }
+
+    pub fn view(&self, frame: u32) -> View<'_> {
+        self.view_at(frame as f64)
+    }
+
+    /// The view at a place on the path, a frame number or between two.
+    fn view_at(&self, place: f64) -> View<'_> {
+        let scene = &self.scene;
+        let part_from_head = scene.part_from_head_at(place);
+        View {
+            accel: &self.accel,
+            surface: scene.surface,
+            laser: &scene.laser,
+            part_from_laser: part_from_head * scene.head_from_laser,
+            camera: &scene.camera,
+            part_from_camera: part_from_head * scene.head_from_camera,
+            speckle: (self.speckle.as_ref())
+                .map(|speckle| speckle.at(scene, place, &part_from_head)),
+            grid: Grid::Gauss {
+                per_side: self.plan.samples_per_side,
+            },
+            sampling: self.plan.sampling,
+            cutoff_radii: self.plan.cutoff_radii,
+        }
+    }
+
+    /// The views of one exposure.
+    fn views(&self, frame: u32) -> impl Iterator<Item = View<'_>> {
+        let places = self.scene.scan.exposure_places(frame);
+        places.map(|place| self.view_at(place))
+    }
+
+    /// Where light is sought: in what may see lit surface, or everywhere.
+    fn region(&self) -> Region<'_> {
+        (self.clusters.as_ref()).map_or(Region::All, |clusters| Region::Lit(clusters))
+    }
+
+    /// The light on the sensor in a frame, the mean over the poses of its exposure.
+    pub fn irradiance(&self, frame: u32) -> Irradiance {
+        self.mean(frame, &self.region())
+    }
+
+    /// The same in these columns alone, and dark elsewhere; of one that traces the
+    /// footprint.
+    pub(crate) fn strip(&self, frame: u32, columns: &Range<usize>) -> Irradiance {
+        let clusters = self.clusters.as_ref().expect("it traces the footprint");
+        self.mean(frame, &Region::Columns(clusters, columns.clone()))
+    }
+
+    /// From the first column that may be lit in a frame to the last.
+    pub(crate) fn lit_columns(&self, frame: u32) -> Option<Range<usize>> {
+        let clusters = self.clusters.as_ref()?;
+        frame::footprint(&self.view(frame), &Region::Lit(clusters)).span()
+    }
+
+    fn mean(&self, frame: u32, region: &Region) -> Irradiance {
+        let images = self
+            .views(frame)
+            .map(|view| frame::irradiance(&view, region));
+        Irradiance::mean(images.collect())
+    }
+
+    /// The lines of a frame, from its image or, if the plan takes none, from geometry.
+    pub(crate) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
+        match self.plan.geometry_only {
+            true => self.geometric_peaks(frame).0,
+            false => self.peaks(&self.image(frame)).0,
+        }
+    }
+
+    fn noise(&self, frame: u32) -> Key {
+        Key::new(self.scene.seed, Purpose::SensorNoise).with(frame as u64)
+    }
+
+    /// What the sensor makes of the light.
+    pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
+        self.readout.counts(irradiance, self.noise(frame))
+    }
+
+    /// The image that the sensor takes.
+    pub fn image(&self, frame: u32) -> Counts {
+        let (region, key) = (self.region(), self.noise(frame));
+        frame::take(self.views(frame), &region, &self.readout, key)
+    }
+}
+
+/// The true values of a scene's sensor.
+pub(crate) fn perfect_calibration(scene: &Scene) -> Calibration {
+    let camera_from_laser = camera_from_laser(scene);
+    Calibration::perfect(
+        scene.camera.model(),
+        scene.head_from_camera,
+        camera_from_laser.translation,
+        camera_from_laser.rotation.y_axis,
+    )
+}
+
+fn camera_from_laser(scene: &Scene) -> Rigid {
+    scene.head_from_camera.inverse() * scene.head_from_laser
+}
+
+/// What of the part the laser lights and the camera sees along the path, in which of its
+/// frames; empty if never.
+pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
+    let part_from_laser = |frame| scene.part_from_head(frame) * scene.head_from_laser;
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    InView::along(&optics, accel, scene.scan.frames, part_from_laser)
+}
+
+fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
+    Optics {
+        laser: &scene.laser,
+        camera: &scene.camera,
+        camera_from_laser,
+    }
+}
+
+/// The plan for what the sensor sees of the part; where that is nothing, for all that it
+/// could see.
+pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
+    let mut places = part_in_view(scene, accel).places;
+    if places.is_empty() {
+        places = optics.overlap();
+    }
+    Plan::new(
+        &optics,
+        &places,
+        exposure_motion(scene),
+        scene.speckle.as_ref().map(|s| SpeckleOptics {
+            method: s.method,
+            aperture: s.aperture,
+            contrast: s.coherence.contrast(),
+            step: step_of_speckle(scene, s.method == Method::Field),
+        }),
+    )
+}
+
+/// How far the middle of the field goes over the part in one exposure.
+fn exposure_motion(scene: &Scene) -> Option<ExposureMotion> {
+    let half = scene.scan.exposure_share? / 2.0;
+    let middle = (scene.scan.frames / 2) as f64;
+    let point = surface_view(scene, None).point;
+    let at = |place| scene.part_from_head_at(place).point(point);
+    Some(ExposureMotion {
+        way: at(middle + half).distance(at(middle - half)),
+        poses: scene.scan.exposure_poses,
+    })
+}

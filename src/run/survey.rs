@@ -1,0 +1,351 @@
+//! What becomes of the laser's light along the path of a scan: rays in the middle of the
+//! light are followed to the part and from there to the camera.
+
+use super::check::MeasuringRange;
+use crate::accel::{Accel, Hit, Ray, WIDTH};
+use crate::camera::Projector;
+use crate::laser::FanProfile;
+use crate::math::{Aabb, DVec2, DVec3, Rigid};
+use crate::profile::least_height;
+use crate::scene::Scene;
+use rayon::prelude::*;
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
+use std::ops::Range;
+
+/// Rays of a line laser, evenly spread over its fan.
+const RAYS: usize = 129;
+/// Frames whose rays are traced, evenly spread over those that may light the part.
+const MOST_FRAMES: usize = 512;
+/// Frames that are looked at for whether they may, evenly spread over all.
+const MOST_LOOKED_AT: usize = 100_000;
+
+/// What a ray of laser light comes to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Fate {
+    /// The camera sees where it ends; expected counts above black in the middle of the
+    /// line there, as if the sensor had no greatest count.
+    Seen(f64),
+    /// It ends nearer to the laser than the sensor's first or last row sees the ray, so far,
+    /// mm along the beam.
+    TooNear(f64),
+    /// Behind it.
+    TooFar(f64),
+    /// The camera sees nothing of this ray.
+    OutOfView,
+    /// The part is between where it ends and the camera.
+    Hidden,
+}
+
+/// The fates of rays that met the part.
+#[derive(Debug, Default)]
+pub(crate) struct Survey {
+    pub fates: Vec<Fate>,
+    /// `None` if the camera sees nothing of the light, wherever it falls.
+    pub range: Option<MeasuringRange>,
+    /// If no ray met the part: where the light passes it.
+    pub miss: Option<Miss>,
+}
+
+/// How the light misses the part.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Miss {
+    /// In every frame the part is behind the laser.
+    Behind,
+    /// The light's plane passes beside the part: the nearest frame, and how far off, mm.
+    Beside { frame: u32, by_mm: f64 },
+    /// The plane crosses the part's box, but not where the fan has light.
+    OutsideFan,
+}
+
+/// A direction of laser light and what of it the camera sees.
+struct Direction {
+    /// Laser frame, unit.
+    along: DVec3,
+    /// Distances along it, mm, that are imaged between the sensor's first row and last.
+    in_rows: Option<[f64; 2]>,
+    /// Those that are imaged on the sensor.
+    seen: Option<[f64; 2]>,
+}
+
+/// Where the part's box is in a frame, laser frame.
+struct Placed {
+    frame: u32,
+    part: Aabb,
+}
+
+impl Survey {
+    /// Of the frames of a scan.
+    pub fn of(scene: &Scene, accel: &Accel, frames: Range<u32>) -> Survey {
+        let directions = directions(scene);
+        let corners = accel.bounds().corners();
+        let placed = spread(frames.len(), MOST_LOOKED_AT).map(|i| {
+            let frame = frames.start + i as u32;
+            let laser_from_part = part_from_laser(scene, frame).inverse();
+            let part = Aabb::of(corners.map(|corner| laser_from_part.point(corner)));
+            Placed { frame, part }
+        });
+        let placed: Vec<Placed> = placed.collect();
+        let near: Vec<&Placed> = placed.iter().filter(|p| p.may_be_lit()).collect();
+        let chosen: Vec<u32> = spread(near.len(), MOST_FRAMES)
+            .map(|i| near[i].frame)
+            .collect();
+        let fates: Vec<Fate> = chosen
+            .par_iter()
+            .flat_map_iter(|&frame| fates(scene, accel, frame, &directions))
+            .collect();
+        let seen = directions.iter().filter_map(|d| Some((d.along, d.seen?)));
+        let range = seen
+            .clone()
+            .fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
+                let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
+                Some([low.min(a * d.z), high.max(b * d.z)])
+            });
+        let range = range.map(|[near_mm, far_mm]| {
+            let middle = (near_mm + far_mm) / 2.0;
+            let across = Aabb::of(seen.map(|(d, _)| d * (middle / d.z)));
+            MeasuringRange {
+                near_mm,
+                far_mm,
+                width_mm: across.size().x,
+            }
+        });
+        Survey {
+            miss: match fates.is_empty() {
+                true => miss(scene, &placed, !near.is_empty()),
+                false => None,
+            },
+            fates,
+            range,
+        }
+    }
+}
+
+fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
+    scene.part_from_head(frame) * scene.head_from_laser
+}
+
+/// `most` of `count` places or all of them, evenly spread, first and last among them.
+fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    let chosen = count.min(most);
+    (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
+}
+
+impl Placed {
+    /// Whether the light's plane crosses the box before the laser.
+    fn may_be_lit(&self) -> bool {
+        let Aabb { min, max } = self.part;
+        max.z > 0.0 && min.y <= 0.0 && max.y >= 0.0
+    }
+}
+
+/// Beam radii beside the middle of the light at which it is as good as none: there is 1/3000
+/// of the irradiance in its middle.
+const LIGHT_ENDS: f64 = 2.0;
+
+/// How light whose middle never meets the part misses it; `None` if what is beside the
+/// middle does meet it.
+fn miss(scene: &Scene, placed: &[Placed], crossed: bool) -> Option<Miss> {
+    if crossed {
+        return Some(Miss::OutsideFan);
+    }
+    let off = |p: &Placed| p.part.min.y.max(-p.part.max.y);
+    let before = placed.iter().filter(|p| p.part.max.z > 0.0);
+    let nearest = before.min_by(|a, b| off(a).total_cmp(&off(b)));
+    let Some(nearest) = nearest else {
+        return Some(Miss::Behind);
+    };
+    let by_mm = off(nearest);
+    let radius = scene.laser.beam.radius(nearest.part.center().z);
+    (by_mm > LIGHT_ENDS * radius).then_some(Miss::Beside {
+        frame: nearest.frame,
+        by_mm,
+    })
+}
+
+/// Directions of the laser's light with what the camera sees of each.
+fn directions(scene: &Scene) -> Vec<Direction> {
+    let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
+    let projector = scene.camera.model().projector();
+    let resolution = scene.camera.sensor.resolution.as_dvec2();
+    let distances = distances(scene, &camera_from_laser.inverse());
+    let angles: Vec<f64> = match &scene.laser.fan {
+        None => vec![0.0],
+        Some(fan) => {
+            let half = match fan.profile {
+                FanProfile::Uniform => fan.angle / 2.0,
+                // Between the 1/e² points, and never backwards.
+                FanProfile::Gaussian => (fan.angle / 2.0).min(FRAC_PI_2 - 1e-6),
+            };
+            let share = |i: usize| (i as f64 + 0.5) / RAYS as f64 * 2.0 - 1.0;
+            (0..RAYS).map(|i| half * share(i)).collect()
+        }
+    };
+    let direction = |angle: &f64| {
+        let along = DVec3::new(angle.sin(), 0.0, angle.cos());
+        let pixel = |t: f64| projector.project(camera_from_laser.point(along * t));
+        let between = |x: f64, most: f64| (0.0..=most).contains(&x);
+        let in_rows = |t: f64| pixel(t).is_some_and(|p| between(p.y, resolution.y));
+        let in_columns = |t: f64| pixel(t).is_some_and(|p| between(p.x, resolution.x));
+        Direction {
+            along,
+            in_rows: interval(&distances, &in_rows),
+            seen: interval(&distances, &|t| in_rows(t) && in_columns(t)),
+        }
+    };
+    angles.iter().map(direction).collect()
+}
+
+/// The least and the greatest distance that `sees` holds for, one of `distances` or beside
+/// one; `None` if it holds for none of them.
+fn interval(distances: &[f64], sees: &impl Fn(f64) -> bool) -> Option<[f64; 2]> {
+    let first = distances.iter().position(|&t| sees(t))?;
+    let last = distances.iter().rposition(|&t| sees(t))?;
+    let before = first.checked_sub(1).map(|i| distances[i]);
+    let after = distances.get(last + 1).copied();
+    Some([
+        edge(distances[first], before, sees),
+        edge(distances[last], after, sees),
+    ])
+}
+
+/// Where between `inside` and `outside` seeing ends; `inside` if nothing is outside.
+fn edge(mut inside: f64, outside: Option<f64>, sees: &impl Fn(f64) -> bool) -> f64 {
+    let mut outside = outside.unwrap_or(inside);
+    for _ in 0..40 {
+        let middle = (inside + outside) / 2.0;
+        match sees(middle) {
+            true => inside = middle,
+            false => outside = middle,
+        }
+    }
+    inside
+}
+
+/// Distances from the laser, rising, close enough that none of what the sensor sees of the
+/// light falls between two: those of the places of the laser plane that 33 × 33 points of
+/// the sensor look at, and a wide range of others.
+fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
+    const NODES: usize = 33;
+    let eye = laser_from_camera.translation;
+    let resolution = scene.camera.sensor.resolution.as_dvec2();
+    let nodes = (0..NODES * NODES).filter_map(|i| {
+        let share = DVec2::new((i % NODES) as f64, (i / NODES) as f64) / (NODES - 1) as f64;
+        let direction = laser_from_camera.vector(scene.camera.direction(resolution * share));
+        let t = -eye.y / direction.y;
+        let place = eye + direction * t;
+        (t > 0.0 && place.is_finite()).then(|| place.x.hypot(place.z))
+    });
+    let others = (-150..=150).map(|i| eye.length() * 10f64.powf(i as f64 / 50.0));
+    let mut all: Vec<f64> = nodes.chain(others).collect();
+    all.sort_by(f64::total_cmp);
+    all
+}
+
+/// The fates of those rays of a frame that meet the part.
+fn fates(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<Fate> {
+    let part_from_laser = part_from_laser(scene, frame);
+    let laser_from_camera = scene.head_from_laser.inverse() * scene.head_from_camera;
+    let follow = Follow {
+        scene,
+        accel,
+        laser_from_part: part_from_laser.inverse(),
+        camera_from_laser: laser_from_camera.inverse(),
+        projector: scene.camera.model().projector(),
+        eye: part_from_laser.point(laser_from_camera.translation),
+    };
+    let mut fates = Vec::new();
+    for directions in directions.chunks(WIDTH) {
+        let ray = |direction: &Direction| Ray {
+            origin: part_from_laser.translation,
+            direction: part_from_laser.vector(direction.along),
+            t_max: f64::INFINITY,
+        };
+        let rays: Vec<Ray> = directions.iter().map(ray).collect();
+        let hits = accel.closest(&rays, |_, _| true);
+        let met = directions.iter().zip(hits);
+        fates.extend(met.filter_map(|(direction, hit)| Some(follow.fate(direction, hit?))));
+    }
+    fates
+}
+
+/// What it takes to follow light from the part to the camera.
+struct Follow<'a> {
+    scene: &'a Scene,
+    accel: &'a Accel,
+    laser_from_part: Rigid,
+    camera_from_laser: Rigid,
+    projector: Projector,
+    /// The camera's pupil, part's frame.
+    eye: DVec3,
+}
+
+impl Follow<'_> {
+    fn fate(&self, direction: &Direction, hit: Hit) -> Fate {
+        let Some([near, far]) = direction.in_rows else {
+            return Fate::OutOfView;
+        };
+        if hit.t < near {
+            return Fate::TooNear((near - hit.t) * direction.along.z);
+        }
+        if hit.t > far {
+            return Fate::TooFar((hit.t - far) * direction.along.z);
+        }
+        if direction
+            .seen
+            .is_none_or(|[near, far]| hit.t < near || hit.t > far)
+        {
+            return Fate::OutOfView;
+        }
+        let start = hit.point + hit.normal * self.accel.resolution();
+        let sight = Ray::between(start, self.eye);
+        let shown = sight.filter(|sight| sight.direction.dot(hit.normal) > 0.0);
+        match shown.filter(|sight| self.accel.occluded(&[*sight]) == 0) {
+            Some(_) => self.seen(hit).map_or(Fate::OutOfView, Fate::Seen),
+            None => Fate::Hidden,
+        }
+    }
+
+    /// Expected counts above black of the pixel in the middle of the line, which is a
+    /// Gaussian of standard deviation σ px there: ∫exp(−x²/2σ²) over one pixel is
+    /// σ√(2π)·erf(1/(2√2·σ)).
+    fn seen(&self, hit: Hit) -> Option<f64> {
+        let Scene {
+            laser,
+            camera,
+            surface,
+            ..
+        } = self.scene;
+        let place = self.laser_from_part.point(hit.point).with_y(0.0);
+        let light = laser.at(place)?;
+        let normal = self.laser_from_part.vector(hit.normal);
+        let received = -light.flux.dot(normal);
+        let pixel = self
+            .projector
+            .project(self.camera_from_laser.point(place))?;
+        let beside = place + DVec3::Y * laser.section(place)?.radius;
+        let beside = self
+            .projector
+            .project(self.camera_from_laser.point(beside))?;
+        let sigma = (beside - pixel).length() / 2.0;
+        let share = sigma * TAU.sqrt() * libm::erf(0.5 * FRAC_1_SQRT_2 / sigma);
+        let towards_light = -light.flux.normalize_or_zero();
+        let towards_eye = self.laser_from_part.vector(self.eye - hit.point);
+        let bsdf = surface.bsdf(normal, towards_light, towards_eye.normalize_or_zero());
+        let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
+        let electrons = irradiance
+            * camera
+                .sensor
+                .electrons_per_irradiance(laser.beam.wavelength);
+        let counts = electrons * camera.sensor.gain_dn_per_e * share.min(1.0);
+        Some(counts.max(0.0)).filter(|counts| counts.is_finite())
+    }
+}
+
+/// Counts above black that a line must have to be found: what noise alone hardly reaches.
+pub(crate) fn least_counts(scene: &Scene) -> f64 {
+    let sensor = &scene.camera.sensor;
+    let read = sensor.noise.map_or(0.0, |noise| noise.read_noise_e);
+    let noise = (read * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
+    let pixels = sensor.resolution.as_u64vec2().element_product();
+    least_height(pixels as usize, noise)
+}

@@ -1,0 +1,51 @@
+//! What a scene says of how well it is to be simulated: a tolerance, and methods by
+//! name.
+
+use super::file::{AccuracyTable, PlanTable};
+use super::resolver::Resolver;
+use crate::error::Result;
+use crate::laser::CUTOFF_RADII;
+use crate::plan::rules::MAX_SAMPLES_PER_SIDE;
+
+impl Resolver<'_> {
+    pub(super) fn tolerance(&self, table: &AccuracyTable) -> Result<Option<f64>> {
+        let tolerance = table.height_um;
+        tolerance.map_or(Ok(0.0), |t| self.positive(t, "accuracy.height_um"))?;
+        Ok(tolerance)
+    }
+
+    /// `images`: the scene asks for files of frames; `line`: its laser has a fan;
+    /// `slips`: patterns may slip.
+    pub(super) fn methods(
+        &self,
+        table: &PlanTable,
+        (images, line): (bool, bool),
+        slips: bool,
+    ) -> Result<PlanTable> {
+        let samples = table.samples_per_side.unwrap_or(1);
+        self.check(
+            (1..=MAX_SAMPLES_PER_SIDE).contains(&samples),
+            "plan.samples_per_side",
+            "from 1 to 16",
+        )?;
+        let radii = table.cutoff_radii.unwrap_or(CUTOFF_RADII);
+        self.check(
+            (1.0..=CUTOFF_RADII).contains(&radii),
+            "plan.cutoff_radii",
+            "a number from 1 to 4",
+        )?;
+        self.check(
+            slips || table.speckle_slips != Some(true),
+            "plan.speckle_slips",
+            "false: it takes speckle by field and a path that does not turn",
+        )?;
+        if table.geometry_only == Some(true) {
+            self.check(
+                line && !images,
+                "plan.geometry_only",
+                "false: it takes a line laser (laser.line) and no write_frames",
+            )?;
+        }
+        Ok(table.clone())
+    }
+}

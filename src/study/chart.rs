@@ -1,0 +1,310 @@
+//! Accuracy against speed: every way of doing a frame, on the scene's own frames.
+
+use super::tiers::{Tier, TierFrame, Tiers};
+use crate::error::{Error, Result};
+use crate::math::DVec2;
+use crate::plan::rules::Plan;
+use crate::plan::words::in_words;
+use crate::profile::{Peak, PeakFinder};
+use crate::report::accuracy_chart::{AccuracyChart, Mark};
+use crate::report::chart::short;
+use crate::run::height_errors::{HeightErrors, at_share};
+use crate::run::pilot::spread_frames;
+use crate::run::ready;
+use crate::run::{Control, files};
+use crate::scene::Scene;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What a chart takes.
+#[derive(Debug, Clone, Copy)]
+pub struct ChartEffort {
+    /// Frames, spread over the scan.
+    pub frames: u32,
+    /// Times each is timed by each tier, in turn.
+    pub rounds: u32,
+}
+
+/// `chart.json`. Heights are ways of points in the laser plane for what their rows
+/// differ; times are of one core.
+#[derive(Debug, Serialize)]
+pub struct Chart {
+    pub scene: PathBuf,
+    pub frames: Vec<u32>,
+    pub rounds: u32,
+    pub tolerance_um: Option<f64>,
+    /// What speckle alone does to 1 of 100 points or more, if that is beyond the
+    /// tolerance.
+    pub speckle_limit_um: Option<f64>,
+    /// The first is the full model, the others' truth.
+    pub rows: Vec<ChartRow>,
+    pub picture: PathBuf,
+    pub json: PathBuf,
+}
+
+/// One way of doing the frames.
+#[derive(Debug, Serialize)]
+pub struct ChartRow {
+    pub name: String,
+    pub plan: Plan,
+    pub finder: PeakFinder,
+    pub coverage: crate::run::Coverage,
+    pub intersection: String,
+    /// Lower quartile, median and upper quartile over frames and rounds, ms.
+    pub ms: [f64; 3],
+    /// Predicted by the plan for the scene's tolerance, ms.
+    pub predicted_ms: Option<f64>,
+    pub frames_per_s: f64,
+    /// Times as fast as the full model.
+    pub speed_up: f64,
+    /// Samples of pixels in a frame: each a ray, but on planes. `None` without images.
+    pub samples: Option<f64>,
+    /// Of all that a frame takes, ms.
+    pub ms_per_million_samples: Option<f64>,
+    /// Hierarchy while it is built (on top of the mesh), patterns of speckle, and a frame's
+    /// light and counts, MB: by arithmetic.
+    pub memory_mb: f64,
+    /// Against the full model.
+    pub error: HeightErrors,
+    /// Against geometry in f64: what it measures, rather than how well it simulates;
+    /// `None` for a point laser.
+    pub scatter: Option<HeightErrors>,
+    /// Median standard deviation of the lines, px.
+    pub line_sigma_px: Option<f64>,
+    /// Contrast of the columns' light along the lines; `None` where too few are side by
+    /// side, and without images.
+    pub contrast: Option<f64>,
+    /// Speckle with other grains: `error` is then the difference of two draws.
+    pub other_grains: bool,
+    /// None is both faster and more accurate.
+    pub on_front: bool,
+    /// What the scene's runs use.
+    pub chosen: bool,
+}
+
+/// Rounds of what takes seconds a frame.
+const SLOW_ROUNDS: u32 = 1;
+
+/// Steps that [`chart`] tells of.
+pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
+    effort.frames.min(scene.scan.frames) as u64 * effort.rounds as u64
+}
+
+/// Times all tiers on some of the scene's frames and measures their errors; writes
+/// `chart.svg` and `chart.json` to `out`.
+pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) -> Result<Chart> {
+    files::create_folder(out)?;
+    let tiers = Tiers::all(scene, ready::hierarchy_watched(scene, control)?)?;
+    let frames = spread_frames(scene.scan.frames, effort.frames);
+    let one_core = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .map_err(|error| Error::Usage(format!("cannot start a thread: {error}")))?;
+    let runs = one_core.install(|| runs(&tiers.list, &frames, effort.rounds, control))?;
+    if runs[0].peaks.iter().all(Vec::is_empty) {
+        let path = scene.path.display();
+        return Err(Error::Usage(format!(
+            "chart on {path}: frames {frames:?} hold no line to measure"
+        )));
+    }
+    let mut rows = rows(&tiers, &runs);
+    mark_front(&mut rows);
+    let accuracy = rows.iter().find_map(|row| row.plan.accuracy.as_ref());
+    let chart = Chart {
+        scene: scene.path.clone(),
+        rounds: effort.rounds,
+        tolerance_um: scene.tolerance_um,
+        speckle_limit_um: accuracy.and_then(|a| a.speckle_limit_um),
+        frames,
+        rows,
+        picture: out.join("chart.svg"),
+        json: out.join("chart.json"),
+    };
+    files::write_bytes(&chart.picture, chart.drawing().svg().as_bytes())?;
+    files::write_json(&chart.json, &chart)?;
+    Ok(chart)
+}
+
+/// What a tier did: its times, and the lines it found in each frame.
+#[derive(Default)]
+struct Run {
+    ms: Vec<f64>,
+    peaks: Vec<Vec<Peak>>,
+    /// Pixels looked at in all frames.
+    pixels: usize,
+}
+
+/// Tiers take turns, so that what else the machine does meets them alike.
+fn runs(tiers: &[Tier], frames: &[u32], rounds: u32, control: &Control) -> Result<Vec<Run>> {
+    let mut runs: Vec<Run> = tiers.iter().map(|_| Run::default()).collect();
+    let mut done = 0;
+    for round in 0..rounds {
+        for &frame in frames {
+            for (tier, run) in tiers.iter().zip(&mut runs) {
+                control.check()?;
+                if tier.coverage == crate::run::Coverage::Footprint || round < SLOW_ROUNDS {
+                    let start = Instant::now();
+                    let TierFrame { peaks, pixels } = tier.frame(frame);
+                    run.ms.push(start.elapsed().as_secs_f64() * 1e3);
+                    if round == 0 {
+                        run.peaks.push(peaks);
+                        run.pixels += pixels;
+                    }
+                }
+            }
+            done += 1;
+            (control.progress)(done);
+        }
+    }
+    Ok(runs)
+}
+
+fn quartiles(values: &[f64]) -> [f64; 3] {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    [0.25, 0.5, 0.75].map(|share| at_share(&sorted, share))
+}
+
+/// How far apart columns are compared: more than a grain, and little surface.
+const APART: u32 = 8;
+
+/// Contrast of the light of columns along lines: root of half the mean square difference
+/// of sound ones [`APART`], over their mean.
+fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
+    let (mut square, mut sum, mut pairs) = (0.0, 0.0, 0.0);
+    for peaks in frames {
+        let sound = peaks.iter().filter(|p| p.flags.is_sound());
+        let light: BTreeMap<u32, f64> = sound.map(|p| (p.column, p.intensity)).collect();
+        for (column, a) in &light {
+            if let Some(b) = light.get(&(column + APART)) {
+                square += 0.5 * (a - b).powi(2);
+                sum += 0.5 * (a + b);
+                pairs += 1.0;
+            }
+        }
+    }
+    (pairs >= 10.0 && sum > 0.0).then(|| f64::sqrt(square / pairs) / (sum / pairs))
+}
+
+fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
+    let full = &tiers.list[0].simulation;
+    let calibration = &full.calibration;
+    let scene = &full.scene;
+    let middle = scene.camera.sensor.resolution.as_dvec2() / 2.0;
+    let up = -scene.head_from_laser.rotation.z_axis;
+    let sign = |pixel: DVec2| {
+        let jacobian = calibration.point_jacobian(pixel)?;
+        Some(jacobian.by_pixel[1].dot(up).signum())
+    };
+    let sign = sign(middle).unwrap_or(1.0);
+    let against = |run: &Run, truth: &Run| {
+        let pairs = run.peaks.iter().cloned().zip(truth.peaks.iter().cloned());
+        HeightErrors::of(&pairs.collect::<Vec<_>>(), calibration, sign)
+    };
+    let is_geometry = |tier: &Tier| tier.simulation.plan.geometry_only;
+    let geometry = tiers.list.iter().position(is_geometry).map(|i| &runs[i]);
+    let slowest = quartiles(&runs[0].ms)[1];
+    let row = |(i, (tier, run)): (usize, (&Tier, &Run))| {
+        let ms = quartiles(&run.ms);
+        let sigmas: Vec<f64> = run.peaks.iter().flatten().map(|p| p.sigma).collect();
+        let plan = tier.simulation.plan.clone();
+        let pixels = run.pixels as f64 / run.peaks.len() as f64;
+        let samples = pixels * (plan.samples_per_side as f64).powi(2);
+        let samples = (!plan.geometry_only).then_some(samples);
+        ChartRow {
+            name: tier.name.clone(),
+            finder: tier.finder,
+            coverage: tier.coverage,
+            intersection: tier.accel.version(),
+            ms,
+            predicted_ms: plan.accuracy.as_ref().map(|a| a.cost_ms),
+            frames_per_s: 1e3 / ms[1],
+            speed_up: slowest / ms[1],
+            samples,
+            ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms[1] / n * 1e6),
+            memory_mb: tier.memory(pixels as usize) as f64 / 1e6,
+            error: against(run, &runs[0]),
+            scatter: geometry.map(|truth| against(run, truth)),
+            line_sigma_px: (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1]),
+            contrast: contrast(&run.peaks).filter(|_| !plan.geometry_only),
+            other_grains: tier.other_grains,
+            on_front: false,
+            chosen: i == tiers.chosen,
+            plan,
+        }
+    };
+    let pairs = tiers.list.iter().zip(runs);
+    pairs.enumerate().map(row).collect()
+}
+
+/// Marks those that no other is both faster and more accurate than.
+fn mark_front(rows: &mut [ChartRow]) {
+    let places: Vec<Option<(f64, f64)>> = rows
+        .iter()
+        .map(|row| Some((row.ms[1], row.error.within_um?)).filter(|_| !row.other_grains))
+        .collect();
+    for (row, place) in rows.iter_mut().zip(&places) {
+        row.on_front = place.is_some_and(|(ms, um)| {
+            let better = |other: &&(f64, f64)| {
+                other.0 <= ms && other.1 <= um && (other.0 < ms || other.1 < um)
+            };
+            places.iter().flatten().find(better).is_none()
+        });
+    }
+}
+
+impl Chart {
+    /// What the chart says in words.
+    pub fn headline(&self) -> String {
+        let Some(row) = self.rows.iter().find(|row| row.chosen) else {
+            return String::new();
+        };
+        let error = row.error.within_um.map_or_else(
+            || format!("{} of 100 points are lost", short(100.0 * row.error.lost)),
+            |um| format!("99 of 100 heights are within {} µm of it", short(um)),
+        );
+        let speed_up = short(row.speed_up);
+        format!("The chosen plan runs {speed_up} times as fast as the full model; {error}")
+    }
+
+    fn drawing(&self) -> AccuracyChart {
+        let mark = |row: &ChartRow| Mark {
+            name: row.name.clone(),
+            ms: row.ms,
+            speed_up: row.speed_up,
+            within_um: row.error.within_um,
+            bias_um: row.error.bias_um,
+            noise_um: row.error.noise_um,
+            lost: row.error.lost,
+            scatter_um: row.scatter.as_ref().map(|s| s.noise_um),
+            sigma_px: row.line_sigma_px,
+            contrast: row.contrast,
+            ms_per_million: row.ms_per_million_samples,
+            memory_mb: row.memory_mb,
+            on_front: row.on_front,
+            chosen: row.chosen,
+            hollow: row.other_grains,
+        };
+        let frames: Vec<String> = self.frames.iter().map(u32::to_string).collect();
+        let mut lead = vec![format!(
+            "{}: frames {}, one core, medians and quartiles of {} rounds in turn.",
+            self.scene.display(),
+            frames.join(", "),
+            self.rounds
+        )];
+        if let Some(row) = self.rows.iter().find(|row| row.chosen) {
+            lead.push(format!("Chosen: {}.", in_words(&row.plan)));
+            let accuracy = row.plan.accuracy.as_ref();
+            lead.extend(accuracy.map(|a| format!("The plan says: {}.", a.statement)));
+        }
+        AccuracyChart {
+            title: self.headline(),
+            lead,
+            tolerance_um: self.tolerance_um,
+            limit_um: self.speckle_limit_um,
+            marks: self.rows.iter().map(mark).collect(),
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! A plan for a tolerance held against the full model.
+
+use crate::accel::Clusters;
+use crate::error::Result;
+use crate::plan::rules::Plan;
+use crate::profile::Peak;
+use crate::run::Simulation;
+use crate::run::height_errors::HeightErrors;
+use crate::run::planner::{full, scene_plan_with};
+use crate::run::ready::hierarchy;
+use crate::scene::Scene;
+use serde::Serialize;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Whether a plan does what it promised.
+#[derive(Debug, Clone, Serialize)]
+pub struct Kept {
+    pub plan: Plan,
+    /// Frames taken: those of the ones asked for that the plan was not made from.
+    pub frames: Vec<u32>,
+    /// Against the full model, over these.
+    pub error: HeightErrors,
+    /// Share of points off by more than was planned for, or found by one of the two only.
+    pub beyond: f64,
+    /// Times of the full model, of the scene without a tolerance, and of the plan, all at
+    /// the line's pixels alone, ms for all these frames.
+    pub ms: [f64; 3],
+}
+
+/// Holds the plan of a scene with a tolerance against the full model, in those of `frames`
+/// that it was not made from, or in all of them if it was made from all.
+pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
+    let accel = Arc::new(hierarchy(scene, &|_| Ok(()))?);
+    let plan = scene_plan_with(scene, &accel)?;
+    let base = crate::run::simulation::plan(scene, &accel);
+    let seen = plan.accuracy.as_ref().map(|a| a.pilot_frames.clone());
+    let seen = seen.unwrap_or_default();
+    let unseen = frames.iter().copied().filter(|frame| !seen.contains(frame));
+    let unseen: Vec<u32> = unseen.collect();
+    let frames = if unseen.is_empty() {
+        frames.to_vec()
+    } else {
+        unseen
+    };
+    let clusters = Arc::new(Clusters::new(&scene.mesh));
+    let most = full(&base, &plan);
+    let [full, without, planned] = [&most, &base, &plan].map(|plan| {
+        let simulation = Simulation::with_plan(scene, accel.clone(), plan.clone())?;
+        let simulation = simulation.with_clusters(clusters.clone());
+        let start = Instant::now();
+        let peaks: Vec<Vec<Peak>> = frames.iter().map(|&f| simulation.frame_peaks(f)).collect();
+        Result::Ok((peaks, start.elapsed().as_secs_f64() * 1e3, simulation))
+    });
+    let (full, without, planned) = (full?, without?, planned?);
+    let pairs: Vec<_> = planned.0.into_iter().zip(full.0).collect();
+    let error = HeightErrors::of(&pairs, &full.2.calibration, 1.0);
+    let planned_um = plan.accuracy.as_ref().map_or(0.0, |a| a.planned_um);
+    Ok(Kept {
+        plan,
+        frames,
+        beyond: error.share_beyond(planned_um),
+        error,
+        ms: [full.1, without.1, planned.1],
+    })
+}

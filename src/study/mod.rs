@@ -1,0 +1,31 @@
+//! What is asked of the simulator: its accuracy against its speed, its peak finders, its
+//! uncertainties, its calibration, its speckle against waves.
+
+#[cfg(feature = "race")]
+mod bench_bvh;
+mod calibrate;
+mod chart;
+mod kept;
+mod peak_image;
+mod peaks;
+mod speckle;
+mod synthetic;
+mod tiers;
+mod uncertainty;
+mod wave;
+
+#[cfg(feature = "race")]
+pub use bench_bvh::{BvhBench, bench_bvh};
+pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
+pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use kept::{Kept, keeps_word};
+pub use peak_image::{
+    FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
+};
+pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
+pub use speckle::{Grain, SpeckleSummary, speckle};
+pub use uncertainty::{MonteCarlo, monte_carlo};
+pub use wave::{
+    ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,
+    wave_patch, wave_reference,
+};

@@ -1,0 +1,209 @@
+//! The finders of the laser line on an image of a real sensor.
+
+use crate::camera::Counts;
+use crate::error::{Error, InputError, Place, Result};
+use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
+use crate::report::picture::encode_for_eyes;
+use crate::run::{Control, files};
+use base64::Engine;
+use image::{DynamicImage, ImageFormat};
+use serde::Serialize;
+use std::fmt::Write;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Which way the laser line runs in an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LineAlong {
+    /// From side to side: one point in each column.
+    Columns,
+    /// From top to bottom: one point in each row.
+    Rows,
+}
+
+/// Counts of an image; transposed where the line runs along rows.
+#[derive(Debug)]
+pub struct GreyImage {
+    pub counts: Counts,
+    /// Highest count of the format.
+    pub max_count: u16,
+    line_along: LineAlong,
+}
+
+/// `line.json`.
+#[derive(Debug, Serialize)]
+pub struct ImageSummary {
+    pub image: PathBuf,
+    pub line_along: LineAlong,
+    pub columns: usize,
+    pub finders: Vec<FoundLine>,
+    pub table: PathBuf,
+    pub picture: PathBuf,
+}
+
+/// What one finder found.
+#[derive(Debug, Serialize)]
+pub struct FoundLine {
+    pub finder: PeakFinder,
+    pub points: usize,
+    pub flagged: usize,
+    pub median_sigma_px: f64,
+}
+
+/// Reads a PNG of 8 or 16 bits; of colours, their luminance. Errors: no regular
+/// file, no such PNG.
+pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
+    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
+    if !kind.is_file() {
+        return Err(wrong(path, "something that is not a regular file".into()));
+    }
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    parse_image(path, &bytes, line_along)
+}
+
+fn wrong(path: &Path, found: String) -> Error {
+    InputError::new(path, Place::File, found, "an image (PNG)").into()
+}
+
+/// `read_image` for bytes already in memory; `path` only names them in errors.
+pub fn parse_image(path: &Path, bytes: &[u8], line_along: LineAlong) -> Result<GreyImage> {
+    let image = image::load_from_memory_with_format(bytes, ImageFormat::Png)
+        .map_err(|error| wrong(path, error.to_string()))?;
+    let image = match line_along {
+        LineAlong::Columns => image,
+        LineAlong::Rows => image.rotate90().fliph(),
+    };
+    let columns = image.width() as usize;
+    let is_deep = matches!(
+        image,
+        DynamicImage::ImageLuma16(_)
+            | DynamicImage::ImageLumaA16(_)
+            | DynamicImage::ImageRgb16(_)
+            | DynamicImage::ImageRgba16(_)
+    );
+    let (counts, max_count) = match is_deep {
+        true => (image.into_luma16().into_raw(), u16::MAX),
+        false => {
+            let counts = image.into_luma8().into_raw();
+            (counts.into_iter().map(u16::from).collect(), 255)
+        }
+    };
+    Ok(GreyImage {
+        counts: Counts::of_rows(&counts, columns),
+        max_count,
+        line_along,
+    })
+}
+
+impl GreyImage {
+    pub fn peaks(&self, finder: PeakFinder) -> Vec<Peak> {
+        let settings = PeakSettings {
+            finder,
+            ..PeakSettings::new(self.max_count)
+        };
+        find_peaks(&self.counts, &settings)
+    }
+}
+
+/// Runs all finders on an image; writes `line.csv`, `line.json` and `line.svg`, the
+/// image with what they found over it.
+pub fn peaks_of_image(
+    path: &Path,
+    line_along: LineAlong,
+    out: &Path,
+    control: &Control,
+) -> Result<ImageSummary> {
+    let image = read_image(path, line_along)?;
+    files::create_folder(out)?;
+    let lines = PeakFinder::ALL.map(|finder| (finder, image.peaks(finder)));
+    control.check()?;
+    let summary = ImageSummary {
+        image: path.to_owned(),
+        line_along,
+        columns: image.counts.columns(),
+        finders: lines.iter().map(|(f, peaks)| found(*f, peaks)).collect(),
+        table: out.join("line.csv"),
+        picture: out.join("line.svg"),
+    };
+    files::write(&summary.table, |file| {
+        writeln!(file, "finder,column,row_px,intensity_dn,width_px,flags")?;
+        for (finder, peaks) in &lines {
+            for p in peaks {
+                let (name, flags) = (name(*finder), p.flags);
+                let numbers = format!("{:.4},{:.1},{:.3}", p.row, p.intensity, p.sigma);
+                writeln!(file, "{name},{},{numbers},{flags}", p.column)?;
+            }
+        }
+        Ok(())
+    })?;
+    files::write_bytes(&summary.picture, overlay(&image, &lines).as_bytes())?;
+    files::write_json(&out.join("line.json"), &summary)?;
+    Ok(summary)
+}
+
+fn found(finder: PeakFinder, peaks: &[Peak]) -> FoundLine {
+    let mut sigmas: Vec<f64> = peaks.iter().map(|p| p.sigma).collect();
+    sigmas.sort_by(f64::total_cmp);
+    FoundLine {
+        finder,
+        points: peaks.len(),
+        flagged: peaks.iter().filter(|p| !p.flags.is_empty()).count(),
+        median_sigma_px: sigmas.get(sigmas.len() / 2).copied().unwrap_or(0.0),
+    }
+}
+
+fn name(finder: PeakFinder) -> String {
+    let value = serde_json::to_value(finder).expect("a name");
+    value.as_str().expect("a name").to_owned()
+}
+
+const COLORS: [&str; 4] = ["#ff5040", "#40a0ff", "#30d060", "#ffc000"];
+
+/// The image for people as it was, and above it each finder's points.
+fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
+    let (columns, rows) = (image.counts.columns(), image.counts.rows());
+    let png = encode_for_eyes(&image.counts.to_rows(), columns, image.max_count);
+    let base64 = base64::engine::general_purpose::STANDARD.encode(png);
+    let (width, height, turn) = match image.line_along {
+        LineAlong::Columns => (columns, rows, "1 0 0 1 0 0"),
+        LineAlong::Rows => (rows, columns, "0 1 1 0 0 0"),
+    };
+    let size = width as f64 / 60.0;
+    let top = -3.0 * size;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 {top:.1} {width} {:.1}\" \
+         font-family=\"sans-serif\" font-size=\"{size:.1}\">\
+         <rect y=\"{top:.1}\" width=\"100%\" height=\"100%\" fill=\"white\"/>",
+        height as f64 - top,
+    );
+    let mut points = String::new();
+    for (k, (finder, peaks)) in lines.iter().enumerate() {
+        let (x, color) = (size * (1.0 + 14.0 * k as f64), COLORS[k]);
+        let _ = write!(
+            svg,
+            "<circle cx=\"{x:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{color}\"/>\
+             <text x=\"{:.1}\" y=\"{:.1}\">{}: {} points</text>",
+            -1.5 * size,
+            size / 3.0,
+            x + size * 0.7,
+            -1.15 * size,
+            name(*finder),
+            peaks.len(),
+        );
+        let _ = write!(points, "<g fill=\"{color}\">");
+        for p in peaks {
+            let (x, r) = (p.column as f64 + 0.5, width as f64 / 900.0);
+            let _ = write!(
+                points,
+                "<circle cx=\"{x}\" cy=\"{:.2}\" r=\"{r:.2}\"/>",
+                p.row
+            );
+        }
+        points.push_str("</g>");
+    }
+    svg + &format!(
+        "<g transform=\"matrix({turn})\"><image width=\"{columns}\" height=\"{rows}\" \
+         href=\"data:image/png;base64,{base64}\"/>{points}</g></svg>\n"
+    )
+}

@@ -1,0 +1,190 @@
+//! Patterns for looking at, and their statistics against theory.
+
+use crate::error::Result;
+use crate::math::DVec2;
+use crate::report::picture::encode_for_eyes;
+use crate::run::{Control, files};
+use crate::speckle::coordinate::Coordinate;
+use crate::speckle::lookup::{Coherence, Lookup, Method};
+use crate::speckle::pattern::{PatternSpec, PhasorPlane};
+use crate::speckle::statistics::{SpeckleStatistics, measure};
+use base64::Engine;
+use exr::prelude::FlatSamples;
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What `lasertrace speckle` found.
+#[derive(Debug, Serialize)]
+pub struct SpeckleSummary {
+    pub statistics: SpeckleStatistics,
+    /// Making all slices for the field method, once.
+    pub seconds_patterns: f64,
+    pub megabytes_patterns: f64,
+    pub grains: Vec<Grain>,
+    pub pattern: PathBuf,
+    pub picture: PathBuf,
+}
+
+/// A lens of the picture: the grain it should have and has.
+#[derive(Debug, Clone, Serialize)]
+pub struct Grain {
+    pub f_number: f64,
+    /// Minimal speckle size h = λN(1 + m).
+    pub h_um: f64,
+    /// Full width at half maximum of the autocovariance, mean of both axes.
+    pub fwhm_um: f64,
+    /// The same by theory: |2J₁(x)/x|² falls to ½ at 0.5145·h.
+    pub fwhm_theory_um: f64,
+}
+
+/// The seed's picture: a lens of 300 mm at two stops, on a target 3 m away.
+const FOCAL_LENGTH: f64 = 300.0;
+const TARGET: f64 = 3000.0;
+const WAVELENGTH: f64 = 660e-6;
+const F_NUMBERS: [f64; 2] = [11.0, 45.0];
+/// Sampling of the picture: 1 µm, a small part of any grain in it.
+const STEP: f64 = 1e-3;
+const SIDE: usize = 512;
+
+/// Writes `pattern.exr` (intensity of slice 0, and its field), `statistics.json`
+/// and `f-numbers.svg`.
+pub fn speckle(spec: &PatternSpec, out: &Path, control: &Control) -> Result<SpeckleSummary> {
+    spec.validate()?;
+    files::create_folder(out)?;
+    let start = Instant::now();
+    let lookup = Lookup::new(spec, Method::Field, Coherence::FULL)?;
+    let seconds_patterns = start.elapsed().as_secs_f64();
+    control.check()?;
+    let summary = SpeckleSummary {
+        seconds_patterns,
+        megabytes_patterns: lookup.memory() as f64 / 1e6,
+        statistics: measure(spec)?,
+        grains: Vec::new(),
+        pattern: out.join("pattern.exr"),
+        picture: out.join("f-numbers.svg"),
+    };
+    drop(lookup);
+    control.check()?;
+    write_pattern(&summary.pattern, spec)?;
+    let summary = SpeckleSummary {
+        grains: picture(&summary.picture, spec.seed)?,
+        ..summary
+    };
+    files::write_json(&out.join("statistics.json"), &summary)?;
+    Ok(summary)
+}
+
+fn write_pattern(path: &Path, spec: &PatternSpec) -> Result<()> {
+    let pattern = PhasorPlane::new(spec).pattern(DVec2::ZERO);
+    let of = |channel: fn(&rustfft::num_complex::Complex32) -> f32| {
+        FlatSamples::F32(pattern.field.iter().map(channel).collect())
+    };
+    let channels = [
+        ("intensity", of(|a| a.norm_sqr())),
+        ("field.re", of(|a| a.re)),
+        ("field.im", of(|a| a.im)),
+    ];
+    files::write_exr(path, (spec.size, spec.size), channels)
+}
+
+/// Draws the grain of both stops side by side, and measures it.
+fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
+    let spec = PatternSpec {
+        seed,
+        slices: 8,
+        ..PatternSpec::default()
+    };
+    let lookup = Lookup::new(&spec, Method::Field, Coherence::FULL)?;
+    let magnification = FOCAL_LENGTH / (TARGET - FOCAL_LENGTH);
+    let width = SIDE as f64 * 1.15;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {:.0} {}\" \
+         font-family=\"sans-serif\" font-size=\"17\"><rect width=\"100%\" height=\"100%\" \
+         fill=\"white\"/>",
+        2.0 * width,
+        SIDE + 100
+    );
+    let mut grains = Vec::new();
+    for (i, f_number) in F_NUMBERS.into_iter().enumerate() {
+        let h = WAVELENGTH * f_number * (1.0 + magnification);
+        let texels_per_mm = spec.texels_per_speckle / h;
+        let intensity: Vec<f64> = (0..SIDE * SIDE)
+            .map(|k| {
+                let texels = |step: usize| step as f64 * STEP * texels_per_mm;
+                let (s, t) = (texels(k % SIDE), texels(k / SIDE));
+                lookup.intensity(Coordinate { s, t, u: 0.0 }) as f64
+            })
+            .collect();
+        let grain = Grain {
+            f_number,
+            h_um: h * 1e3,
+            fwhm_um: half_width(&intensity) * 2.0 * STEP * 1e3,
+            fwhm_theory_um: 2.0 * 0.514_5 * h * 1e3,
+        };
+        panel(&mut svg, (i as f64 + 0.065) * width, &intensity, &grain);
+        grains.push(grain);
+    }
+    svg.push_str("</svg>\n");
+    files::write_bytes(path, svg.as_bytes())?;
+    Ok(grains)
+}
+
+fn panel(svg: &mut String, x: f64, intensity: &[f64], grain: &Grain) {
+    // Of exponential intensities with mean 1, 2 % exceed 4.
+    let counts: Vec<u16> = intensity
+        .iter()
+        .map(|i| (i / 4.0 * 65535.0).min(65535.0) as u16)
+        .collect();
+    let png = encode_for_eyes(&counts, SIDE, u16::MAX);
+    let base64 = base64::engine::general_purpose::STANDARD.encode(png);
+    let _ = write!(
+        svg,
+        "<image x=\"{x:.0}\" y=\"16\" width=\"{SIDE}\" height=\"{SIDE}\" \
+         href=\"data:image/png;base64,{base64}\"/>\
+         <text x=\"{x:.0}\" y=\"{}\">{FOCAL_LENGTH} mm, f/{}: h = {:.1} µm ({:.2} mm of sensor shown)</text>\
+         <text x=\"{x:.0}\" y=\"{}\">grain (FWHM of autocovariance): {:.1} µm measured, {:.1} µm in theory</text>",
+        SIDE + 44,
+        grain.f_number,
+        grain.h_um,
+        SIDE as f64 * STEP,
+        SIDE + 70,
+        grain.fwhm_um,
+        grain.fwhm_theory_um
+    );
+}
+
+/// Lag (samples) at which the autocovariance has fallen to half, mean of both
+/// axes, linear between lags. The mean is the ensemble's, 1: that of a picture of
+/// few grains would pull the autocovariance down.
+fn half_width(intensity: &[f64]) -> f64 {
+    let covariance = |along: usize, lag: usize| {
+        let (mut sum, mut n) = (0.0, 0.0);
+        for y in 0..SIDE - if along == 1 { lag } else { 0 } {
+            for x in 0..SIDE - if along == 0 { lag } else { 0 } {
+                let a = intensity[y * SIDE + x];
+                let b = match along {
+                    0 => intensity[y * SIDE + x + lag],
+                    _ => intensity[(y + lag) * SIDE + x],
+                };
+                sum += (a - 1.0) * (b - 1.0);
+                n += 1.0;
+            }
+        }
+        sum / n
+    };
+    let half = |along: usize| {
+        let zero = covariance(along, 0);
+        let mut last = 1.0;
+        for lag in 1..SIDE {
+            let now = covariance(along, lag) / zero;
+            if now < 0.5 {
+                return lag as f64 - (0.5 - now) / (last - now);
+            }
+            last = now;
+        }
+        SIDE as f64
+    };
+    (half(0) + half(1)) / 2.0
+}
