@@ -3,6 +3,7 @@
 use super::forecast::{Forecast, forecast_of};
 use super::ready;
 use super::reason::Warning;
+use super::survey::MeasuringRange;
 use super::warnings::{Foreseen, foreseen};
 use super::{Control, Coverage};
 use crate::error::Result;
@@ -21,16 +22,6 @@ pub struct Checked {
     pub measuring_range: Option<MeasuringRange>,
     /// Empty for a good scene.
     pub warnings: Vec<Warning>,
-}
-
-/// Where the camera sees the laser's light.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct MeasuringRange {
-    /// Least and greatest distance from the laser along the beam, mm.
-    pub near_mm: f64,
-    pub far_mm: f64,
-    /// Width in its middle, mm.
-    pub width_mm: f64,
 }
 
 /// Plans a scene and looks along the whole path of its scan for what will spoil it.

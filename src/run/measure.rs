@@ -8,9 +8,7 @@ use crate::inspect::continuity::compare_frames;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::profile::{
-    ErrorModel, Flags, Peak, PeakSettings, RowError, SpeckleGrain, compare_neighbours, find_peaks,
-};
+use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks};
 use crate::scene::Scene;
 
 /// Least share of a point's uncertainty that is across the surface, for that share to be all that
@@ -225,18 +223,4 @@ fn outer(v: DVec3) -> DMat3 {
 
 fn trace(m: &DMat3) -> f64 {
     m.x_axis.x + m.y_axis.y + m.z_axis.z
-}
-
-/// What data sheets of the scene's laser and camera tell of the errors of peaks.
-pub(crate) fn error_model(scene: &Scene) -> ErrorModel {
-    let Camera { sensor, .. } = &scene.camera;
-    let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-    let grain = scene.speckle.map(|model| SpeckleGrain {
-        rays: scene.camera.model().chief_rays(),
-        resolution: sensor.resolution,
-        size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
-        contrast: model.coherence.contrast(),
-        aperture: model.aperture,
-    });
-    ErrorModel::new(scene.measure.finder, shot, grain)
 }

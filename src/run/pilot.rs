@@ -1,8 +1,8 @@
 //! Parts of a few frames, as the full model and as others have them: what a plan for a
 //! tolerance is chosen by.
 
+use super::error_model::error_model;
 use super::height_errors::HeightErrors;
-use super::measure::error_model;
 use super::simulation::Simulation;
 use crate::camera::Counts;
 use crate::error::Result;

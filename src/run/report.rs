@@ -4,11 +4,11 @@ mod frames;
 mod histograms;
 
 use super::Control;
-use super::scan::ScanSummary;
 use super::simulation::Simulation;
+use super::summary::ScanSummary;
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::inspect::cloud::{CloudPoint, color_limit_um};
+use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
 use crate::laser::Laser;
@@ -19,6 +19,7 @@ use crate::report::color::{Rgb, diverging, sequential};
 use crate::report::page::of_fate;
 use crate::report::page::{ColorMap, Report};
 use crate::report::picture::{ParallelView, part_picture};
+use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
 use crate::report::viewer::{Layer, Mode, Viewer};
 

@@ -1,8 +1,8 @@
 //! The cheapest plan that keeps a tolerance in the frames looked at.
 
 use super::height_errors::HeightErrors;
+use super::methods::{full, named};
 use super::pilot::Looked;
-use super::planner::{full, named};
 use super::simulation::Simulation;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;

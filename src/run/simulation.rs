@@ -1,8 +1,8 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
-use super::forecast;
-use super::measure::error_model;
+use super::error_model::error_model;
+use super::need;
 use super::scan_speckle::{ScanSpeckle, step_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
@@ -48,7 +48,7 @@ impl Simulation {
     /// One that does what `plan` says.
     pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
         if !plan.geometry_only {
-            forecast::require_images(scene, 1)?;
+            need::require_images(scene, 1)?;
         }
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {

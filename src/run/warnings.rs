@@ -1,9 +1,8 @@
 //! Why a scan gives nothing, or nothing worth having: the same words before it, from the
 //! geometry of the scene, and after it, from what the frames gave.
 
-use super::check::MeasuringRange;
 use super::reason::{Reason, Warning};
-use super::survey::{Fate, Miss, Survey, least_counts};
+use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
