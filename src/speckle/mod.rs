@@ -9,6 +9,7 @@
 //! wave-optics reference that all of it is measured against.
 
 pub mod anchor;
+pub mod column_covariance;
 pub mod coordinate;
 mod fixed;
 pub mod frame_field;
