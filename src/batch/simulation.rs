@@ -4,7 +4,7 @@
 use super::forecast;
 use super::measure::error_model;
 use super::planner;
-use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, DarkCounts, Sensor};
@@ -291,7 +291,7 @@ pub(super) fn plan(scene: &Scene, accel: &Accel) -> Plan {
             method: s.method,
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
-            step: step_of_speckle(scene, s.method == Method::Field),
+            steps: steps_of_speckle(scene, s.method == Method::Field),
         }),
     )
 }

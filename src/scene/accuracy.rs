@@ -29,8 +29,8 @@ pub struct PlanTable {
     pub geometry_only: Option<bool>,
     /// Whether speckle is modelled if the scene has it.
     pub speckle: Option<bool>,
-    /// Whether the pattern slips on surfaces out of focus; takes speckle by field and a
-    /// path that does not turn.
+    /// Whether the pattern moves with each place of the surface, which slips out of focus
+    /// and turns, or with the middle of the view; takes speckle by field.
     pub speckle_slips: Option<bool>,
     /// Whether the sensor's noise is modelled if the scene has it.
     pub noise: Option<bool>,
@@ -53,12 +53,12 @@ impl Resolver<'_> {
     }
 
     /// `images`: the scene asks for files of frames; `line`: its laser has a fan;
-    /// `slips`: patterns may slip.
+    /// `by_field`: speckle is read by field.
     pub(super) fn methods(
         &self,
         table: &PlanTable,
         (images, line): (bool, bool),
-        slips: bool,
+        by_field: bool,
     ) -> Result<PlanTable> {
         let samples = table.samples_per_side.unwrap_or(1);
         self.check(
@@ -73,9 +73,9 @@ impl Resolver<'_> {
             "a number from 1 to 4",
         )?;
         self.check(
-            slips || table.speckle_slips != Some(true),
+            by_field || table.speckle_slips != Some(true),
             "plan.speckle_slips",
-            "false: it takes speckle by field and a path that does not turn",
+            "false: it takes speckle by field",
         )?;
         if table.geometry_only == Some(true) {
             self.check(
