@@ -156,6 +156,8 @@ fn slow_motion_is_that_of_waves_between_frames_far_apart() {
             step: geometry.step.times(2.0),
             ..geometry
         };
+        let plan = Simulation::new(&slow.scene(true)).unwrap().plan;
+        assert!(plan.speckle_slips, "{name}: {:?}", plan.effects);
         assert_as_waves(&format!("slow {name}"), &slow, seed);
     }
 }
