@@ -58,8 +58,8 @@ pub struct RowError {
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
 /// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
 /// first term is what clipping leaves of it ([`Clipping`]). The
-/// ratio a centroid is brings its own second-order terms; they add up to
-/// −0.02·h/σ of the variance.
+/// ratio that a centroid is has terms of second order too, left out here: with few grains
+/// across the line it strays less than stated (`tests/uncertainty.rs` sums them exactly).
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
 /// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the

@@ -3,7 +3,7 @@
 
 use super::error_model::error_model;
 use super::need;
-use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
@@ -246,7 +246,7 @@ pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
             method: s.method,
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
-            step: step_of_speckle(scene, s.method == Method::Field),
+            steps: steps_of_speckle(scene, s.method == Method::Field),
         }),
     )
 }
