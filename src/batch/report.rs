@@ -23,8 +23,8 @@ use crate::math::DVec3;
 /// Points and places in the viewer: what half a megabyte holds.
 const MOST_IN_VIEWER: usize = 60_000;
 
-/// Width of the pictures of the part, px.
-const PICTURE_WIDTH: usize = 900;
+/// Longer side of the pictures of the part, px.
+const PICTURE_SIZE: usize = 900;
 
 const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
@@ -128,7 +128,7 @@ impl Shown<'_> {
                 },
             ),
             (
-                "height of 1 px",
+                "height per pixel",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
             ("speckle size", plan.grain.to_string()),
@@ -202,7 +202,7 @@ impl Shown<'_> {
         let views = views.iter().map(|&(caption, view)| {
             let points = self.points.iter().filter(|p| shown(p));
             let points = points.map(|p| (p.position, color(p)));
-            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_WIDTH);
+            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_SIZE);
             (caption, picture.png)
         });
         ColorMap {
@@ -303,7 +303,6 @@ impl Shown<'_> {
                 }],
         }));
         Viewer {
-            bounds: self.simulation.accel.bounds(),
             look: [0.6, 0.6],
             layers,
         }

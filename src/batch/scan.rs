@@ -123,13 +123,17 @@ pub fn scan(
         geometry_only: options.geometry_only,
     };
     refuse_worthless(scene, options, &frames, control)?;
+    let simulation = || match options.geometry_only {
+        true => Simulation::of_geometry(scene, control.hierarchy(scene)?),
+        false => options.coverage.simulation(scene, control),
+    };
+    if !forecast::any_report_fits(scene, frames.len() as u64) {
+        forecast::require_points(&simulation()?, &frames, control)?;
+    }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
-    let simulation = match options.geometry_only {
-        true => Simulation::of_geometry(scene, control.hierarchy(scene)?)?,
-        false => options.coverage.simulation(scene, control)?,
-    };
+    let simulation = simulation()?;
     let prepared = Instant::now();
 
     let run = Run {

@@ -207,6 +207,14 @@ impl<'s> Simulation<'s> {
         lit_columns(&self.view(frame), self.clusters.as_ref()?)
     }
 
+    /// How many columns may be lit in a frame: all of them if every sample is traced.
+    pub(super) fn columns_at_most(&self, frame: u32) -> usize {
+        match &self.clusters {
+            Some(_) => self.lit_columns(frame).map_or(0, |columns| columns.len()),
+            None => self.scene.camera.sensor.resolution.x as usize,
+        }
+    }
+
     fn mean(&self, frame: u32, image: impl Fn(&View) -> Irradiance) -> Irradiance {
         let places = self.scene.scan.exposure_places(frame);
         let images = places.map(|place| image(&self.view_at(place)));

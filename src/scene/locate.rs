@@ -43,7 +43,9 @@ impl Source {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
-            InputError::new(path, place, "bytes that are not UTF-8", "TOML text")
+            let expected = "a scene as TOML text; a mesh is named in a scene, \
+                            [part] mesh = { file = \"part.stl\", unit = \"mm\" }";
+            InputError::new(path, place, "bytes that are not UTF-8", expected)
         })?;
         Source::parse(path, text)
     }
