@@ -97,8 +97,11 @@ impl Shown<'_> {
             1 => part,
             copies => format!("{copies} copies of {part}"),
         };
-        let [across, along] = [self.poses.first(), self.poses.last()]
-            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
+        let step = |pair: &[HeadPose]| {
+            let [from, to] = [pair[0], pair[1]].map(|pose| pose.part_from_laser.translation);
+            from.distance(to)
+        };
+        let way: f64 = self.poses.windows(2).map(step).sum();
         vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{part}; {x} × {y} × {z} mm")),
@@ -106,11 +109,7 @@ impl Shown<'_> {
             ("camera", camera(&scene.camera)),
             (
                 "frames",
-                format!(
-                    "{}, over {} mm",
-                    self.frames.len(),
-                    short((along - across).length())
-                ),
+                format!("{}, the laser moves {} mm", self.frames.len(), short(way)),
             ),
             (
                 "sensor columns with a point",

@@ -123,17 +123,13 @@ pub fn scan(
         geometry_only: options.geometry_only,
     };
     refuse_worthless(scene, options, &frames, control)?;
-    let simulation = || match options.geometry_only {
-        true => Simulation::of_geometry(scene, control.hierarchy(scene)?),
-        false => options.coverage.simulation(scene, control),
-    };
     if !forecast::any_report_fits(scene, frames.len() as u64) {
-        forecast::require_points(&simulation()?, &frames, control)?;
+        forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
     }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
-    let simulation = simulation()?;
+    let simulation = simulation_of(scene, options, control)?;
     let prepared = Instant::now();
 
     let run = Run {
@@ -172,6 +168,17 @@ pub fn scan(
     files::write_json(&out.join("manifest.json"), &manifest)?;
     warnings::refuse(&summary.warnings, options.strict)?;
     Ok(summary)
+}
+
+fn simulation_of<'s>(
+    scene: &'s Scene,
+    options: &ScanOptions,
+    control: &Control,
+) -> Result<Simulation<'s>> {
+    match options.geometry_only {
+        true => Simulation::of_geometry(scene, control.hierarchy(scene)?),
+        false => options.coverage.simulation(scene, control),
+    }
 }
 
 /// Refuses, if the scan is strict, one that will give nothing worth having, while what

@@ -37,7 +37,10 @@ impl Source {
         let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
         if !kind.is_file() {
             // A pipe may never end.
-            let found = "something that is not a regular file";
+            let found = match kind.is_dir() {
+                true => "a folder",
+                false => "something that is not a regular file",
+            };
             return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
         }
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
@@ -232,7 +235,11 @@ impl Source {
                 expected.replace("an array of length", "a list of"),
             ),
             (_, "f64") => (written.into(), "a number".into()),
-            (_, "u32" | "u64") => (written.into(), "a whole number, not negative".into()),
+            (_, "u32") => (
+                written.into(),
+                format!("a whole number from 0 to {}", u32::MAX),
+            ),
+            (_, "u64") => (written.into(), "a whole number, not negative".into()),
             (_, "a boolean") => (written.into(), "true or false".into()),
             (_, "a string") => (written.into(), "text in quotation marks".into()),
             (_, "a sequence") => (written.into(), "a list such as [1, 2]".into()),
