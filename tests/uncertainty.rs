@@ -1,12 +1,12 @@
 //! Predicted uncertainties against what is true.
 
 use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::math::Aperture;
 use lasertrace::math::DVec2;
 use lasertrace::math::quadrature::gauss_legendre;
 use lasertrace::profile::Flags;
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
-use lasertrace::speckle::pattern::Aperture;
 use nalgebra::{DMatrix, DVector};
 
 mod program;

@@ -267,7 +267,7 @@ impl Plan {
             true,
             match n {
                 1 => "1 ray a pixel".into(),
-                _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
+                _ => format!("{n} × {n} samples a pixel; 1 ray on flat surface, all at edges"),
             },
             format!(
                 "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \

@@ -31,8 +31,9 @@ pub struct Checked {
 pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     let start = Instant::now();
     let simulation = ready::simulation(scene, Coverage::Footprint, control)?;
-    let forecast = forecast_of(&simulation, start.elapsed().as_secs_f64(), control)?;
     let frames = 0..scene.scan.frames;
+    let preparing = start.elapsed().as_secs_f64();
+    let forecast = forecast_of(&simulation, &frames, preparing, control)?;
     let images = !simulation.plan.geometry_only;
     let Foreseen { range, warnings } = foreseen(scene, &simulation.accel, frames, images);
     Ok(Checked {

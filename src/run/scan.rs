@@ -8,7 +8,7 @@ use super::report::Shown;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, Foreseen};
-use super::{Control, Coverage, files, need};
+use super::{Control, Coverage, files, forecast, need};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::cloud::CloudPoint;
@@ -91,13 +91,13 @@ pub fn scan(
         geometry_only: options.geometry_only,
     };
     refuse_worthless(scene, options, &frames, control)?;
+    if !forecast::any_report_fits(scene, frames.len() as u64) {
+        forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
+    }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
-    let simulation = match options.geometry_only {
-        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?)?,
-        false => ready::simulation(scene, options.coverage, control)?,
-    };
+    let simulation = simulation_of(scene, options, control)?;
     let prepared = Instant::now();
 
     let run = Run {
@@ -136,6 +136,13 @@ pub fn scan(
     files::write_json(&out.join("manifest.json"), &manifest)?;
     warnings::refuse(&summary.warnings, options.strict)?;
     Ok(summary)
+}
+
+fn simulation_of(scene: &Scene, options: &ScanOptions, control: &Control) -> Result<Simulation> {
+    match options.geometry_only {
+        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?),
+        false => ready::simulation(scene, options.coverage, control),
+    }
 }
 
 /// Refuses, if the scan is strict, one that will give nothing worth having, while what

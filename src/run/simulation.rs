@@ -166,6 +166,14 @@ impl Simulation {
         frame::footprint(&self.view(frame), &Region::Lit(clusters)).span()
     }
 
+    /// How many columns may be lit in a frame: all of them if every sample is traced.
+    pub(crate) fn columns_at_most(&self, frame: u32) -> usize {
+        match &self.clusters {
+            Some(_) => self.lit_columns(frame).map_or(0, |columns| columns.len()),
+            None => self.scene.camera.sensor.resolution.x as usize,
+        }
+    }
+
     fn mean(&self, frame: u32, region: &Region) -> Irradiance {
         let images = self
             .views(frame)

@@ -53,7 +53,8 @@ pub(crate) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) 
         true => None,
         false if points.is_empty() => Some(Reason::NothingMeasured { frames }),
         false => {
-            let flags = count_flags(points).into_iter();
+            // Of several that all have, the first, which says why the others are there.
+            let flags = count_flags(points).into_iter().rev();
             flags
                 .max_by_key(|flag| flag.points)
                 .map(|flag| Reason::EveryPointDoubtful {
