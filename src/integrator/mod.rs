@@ -25,6 +25,7 @@ mod window;
 
 pub use direct::{Sampling, View, footprint_image, irradiance_image, lit_columns, strip_image};
 pub use geometric::{LinePoint, Sheet};
+pub use grain_extent::GrainExtent;
 pub use irradiance::Irradiance;
 pub use plan::Plan;
 pub use reference::{Reference, Strips};
