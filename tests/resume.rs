@@ -246,7 +246,11 @@ fn what_changed_since_is_named_and_nothing_is_touched() {
 #[test]
 fn pieces_equal_the_whole() {
     let plane = with_frames(9).replace("speckle = false", "speckle = true");
-    let ball = plane.replace(PLANE, "sphere = { radius_mm = 3, chord_um = 5 }");
+    // Frames further apart than the beam is wide.
+    let ball = plane
+        .replace(PLANE, "sphere = { radius_mm = 3, chord_um = 5 }")
+        .replace("step_mm = 0.01", "step_mm = 0.65")
+        .replace("start_mm = [0, -0.5, 0]", "start_mm = [0, -3, 0]");
     assert_pieces_equal_the_whole(&plane);
     assert_pieces_equal_the_whole(&ball);
 }

@@ -106,14 +106,9 @@ fn among<'s>(
     tolerance_um: f64,
 ) -> Result<Choice<'s>> {
     let scene = looked.scene();
-    let more = |best: &Plan, plan: &Plan| no_finer(best, plan);
-    let finest = images.iter().skip(1).fold(
-        &images[0],
-        |best, plan| {
-            if more(best, plan) { plan } else { best }
-        },
-    );
-    let finest = finest.clone();
+    let finer = |best: Plan, plan: Plan| if no_finer(&best, &plan) { plan } else { best };
+    let finest = images.iter().cloned().reduce(finer);
+    let finest = finest.expect("there is a plan with an image");
     let mut radii: Vec<f64> = images.iter().map(|plan| plan.cutoff_radii).collect();
     radii.sort_by(f64::total_cmp);
     radii.dedup();
