@@ -22,9 +22,6 @@ pub const WEAK_SNR: f64 = 10.0;
 /// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
 pub const NARROW_RATIO: f64 = 0.4;
 
-/// Share by which a line's width may differ from that of its window.
-const WIDTH_TOLERANCE: f64 = 0.1;
-
 /// Pixels of a column of which the highest is kept.
 const BLOCK: usize = 32;
 
@@ -112,10 +109,11 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     peaks
 }
 
-/// Locates again, in windows of its own width, each line that is wider or narrower
-/// than was taken: on a slope towards the camera it is wider, and cut off by its window
-/// it would stray more than a whole one; on one away from it, it is narrower, and noise
-/// beside it would move it.
+/// Locates again each line in a window of its own width: on a slope towards the camera it is
+/// wider than was taken, and cut off by its window it would stray more than a whole one; on one
+/// away from it, it is narrower, and noise beside it would move it. However little the widths
+/// differ: were it done from some difference on, a trifle could decide on which noise is in
+/// the window.
 fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
     let single = lines.iter().filter(|found| !found.double);
     let widths = single.map(|found| (found.column, found.located.0.sigma));
@@ -126,7 +124,7 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
         };
         // One that is much wider than its neighbours is another line, not their speckle.
         let alike = found.located.0.sigma <= WIDE_RATIO * width;
-        if !alike || (width / found.line.sigma - 1.0).abs() <= WIDTH_TOLERANCE {
+        if !alike {
             continue;
         }
         let other = Line {

@@ -2,14 +2,17 @@
 
 use super::simulation::Simulation;
 use crate::camera::{Camera, Counts};
+use crate::error::Result;
 use crate::frame::LinePoint;
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::continuity::compare_frames;
+use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks};
 use crate::scene::Scene;
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Least share of a point's uncertainty that is across the surface, for that share to be all that
 /// moves the point off it: on a wall along which its errors run, which part of the light it catches
@@ -191,6 +194,34 @@ impl Simulation {
     pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
         let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
         compare_frames(points, &scanned, &self.scene.laser);
+    }
+
+    /// The same for a piece of the scan: `points` of all its frames get the flags they have in the
+    /// whole scan. `measured` takes one of the frames beside the piece that show the surface.
+    pub(crate) fn compare_piece(
+        &self,
+        piece: &Range<u32>,
+        points: &mut Vec<CloudPoint>,
+        measured: impl Fn(u32) -> Result<Vec<CloudPoint>> + Sync,
+    ) -> Result<()> {
+        let (scene, pose) = (&self.scene, |frame| self.head_pose(frame));
+        let beside = frames_beside(piece, scene.scan.frames, points, pose, &scene.laser);
+        if beside.is_empty() {
+            self.compare_frames(piece.clone(), points);
+            return Ok(());
+        }
+        let (before, after): (Vec<u32>, Vec<u32>) = beside.iter().partition(|&&f| f < piece.start);
+        let of = |frames: &[u32]| -> Result<Vec<CloudPoint>> {
+            let frames = frames.par_iter().map(|&frame| measured(frame));
+            Ok(frames.collect::<Result<Vec<_>>>()?.concat())
+        };
+        let (first, own) = (of(&before)?, points.len());
+        let mut all = [first, std::mem::take(points), of(&after)?].concat();
+        let frames = before.iter().copied().chain(piece.clone());
+        self.compare_frames(frames.chain(after.iter().copied()), &mut all);
+        let others = all.partition_point(|point| point.frame < piece.start);
+        *points = all.drain(others..others + own).collect();
+        Ok(())
     }
 
     /// Where laser and camera are in a frame.

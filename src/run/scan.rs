@@ -1,7 +1,7 @@
 //! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
 //! all, the manifest that says the run is complete.
 
-use super::frames::Run;
+use super::frames::{FrameContent, Run};
 use super::journal::{Journal, RunKey};
 use super::ready;
 use super::report::Shown;
@@ -213,7 +213,10 @@ fn finish(
 ) -> Result<ScanSummary> {
     let scene = &simulation.scene;
     let (mut points, blurred_share) = points_of(journal)?;
-    simulation.compare_frames(frames.clone(), &mut points);
+    simulation.compare_piece(frames, &mut points, |frame| {
+        control.check()?;
+        Ok(FrameContent::of(simulation, frame).points)
+    })?;
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
