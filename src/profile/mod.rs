@@ -36,7 +36,5 @@ pub use find::{
 };
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use slope::JUMP_SIGMAS;
-pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,
-};
-pub use variances::SpeckleGrain;
+pub use uncertainty::{ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError};
+pub use variances::{SIGMAS_PX, SpeckleGrain};

@@ -8,7 +8,7 @@ use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
-use super::variances::{Places, SpeckleGrain, Variances, along_row};
+use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder, WEAK_SNR};
 
@@ -19,8 +19,6 @@ pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
 /// The same of a pixel's light for finders that take its shape as a Gaussian's, not
 /// its centre of gravity.
 pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
-/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
-pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 /// Narrowest line for finders other than the centroid, whose bias is not known below.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the

@@ -3,7 +3,6 @@
 
 use super::PeakFinder;
 use super::influence::{influence, shares};
-use super::uncertainty::SIGMAS_PX;
 use crate::camera::ChiefRays;
 use crate::math::Aperture;
 use crate::math::DVec2;
@@ -11,6 +10,9 @@ use crate::speckle::column_covariance::ColumnCovariance;
 use crate::speckle::theory::strip_covariance;
 use glam::{DMat2, UVec2};
 use rayon::prelude::*;
+
+/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
+pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 
 /// Speckle of the light on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
