@@ -9,7 +9,7 @@ use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks};
+use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks, weigh};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -36,7 +36,8 @@ impl Simulation {
     /// Lines of an image and how far their rows may be off.
     pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
         let mut peaks = find_peaks(counts, &self.peak_settings());
-        let errors = self.errors.row_errors(&mut peaks, counts.columns());
+        let errors = self.errors.row_errors(&peaks, counts.columns());
+        weigh(&mut peaks, &errors);
         (peaks, errors)
     }
 
@@ -66,7 +67,8 @@ impl Simulation {
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
         compare_neighbours(&mut peaks, columns, settings.expected_sigma);
-        let errors = self.errors.row_errors(&mut peaks, columns);
+        let errors = self.errors.row_errors(&peaks, columns);
+        weigh(&mut peaks, &errors);
         (peaks, errors)
     }
 

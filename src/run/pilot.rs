@@ -169,7 +169,7 @@ impl Looked {
         let [with, without] = [speckle, none].map(|model| {
             let mut peaks = peaks.to_vec();
             peaks.iter_mut().for_each(|peak| peak.noise = 0.0);
-            model.row_errors(&mut peaks, scene.camera.sensor.resolution.x as usize)
+            model.row_errors(&peaks, scene.camera.sensor.resolution.x as usize)
         });
         let point = |(i, peak): (usize, &Peak)| {
             let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
