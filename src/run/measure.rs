@@ -1,6 +1,6 @@
 //! From a frame's image, or from geometry alone, to points on the part.
 
-use super::simulation::Simulation;
+use super::simulation::{Pose, Simulation};
 use crate::camera::{Camera, Counts};
 use crate::error::Result;
 use crate::frame::LinePoint;
@@ -43,26 +43,46 @@ impl Simulation {
 
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
+        self.measure_at(&self.pose(frame), counts)
+    }
+
+    fn measure_at(&self, pose: &Pose, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks(counts);
-        let points = self.points(frame, &peaks, &errors);
+        let points = self.points(pose, &peaks, &errors);
         (peaks, points)
+    }
+
+    /// A frame from its pose to its points; no image where the plan takes geometry only.
+    pub fn take(&self, frame: u32) -> (Option<Counts>, Vec<Peak>, Vec<CloudPoint>) {
+        let pose = self.pose(frame);
+        if self.plan.geometry_only {
+            let (peaks, points) = self.geometric_at(&pose);
+            return (None, peaks, points);
+        }
+        let image = self.image_of(&pose);
+        let (peaks, points) = self.measure_at(&pose, &image);
+        (Some(image), peaks, points)
     }
 
     /// The profile that an ideal image would have, from laser rays and what the
     /// camera sees of them, and its points. The stated uncertainty is still that of
     /// the peaks of real images. Empty but where the plan takes geometry only.
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.geometric_peaks(frame);
-        let points = self.points(frame, &peaks, &errors);
+        self.geometric_at(&self.pose(frame))
+    }
+
+    fn geometric_at(&self, pose: &Pose) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, errors) = self.geometric_peaks(pose);
+        let points = self.points(pose, &peaks, &errors);
         (peaks, points)
     }
 
     /// Its peaks and how far their rows may be off.
-    pub(crate) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<RowError>) {
+    pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowError>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
-        let line = sheet.profile(&self.view(frame));
+        let line = sheet.profile(&self.view_of(pose));
         let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
@@ -97,8 +117,11 @@ impl Simulation {
     }
 
     /// Points of a frame's peaks, whose rows may be so far off.
-    fn points(&self, frame: u32, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
-        let part_from_head = self.scene.part_from_head(frame);
+    fn points(&self, pose: &Pose, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
+        let &Pose {
+            frame,
+            part_from_head,
+        } = pose;
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let sheet = self.scene.head_from_laser.rotation.y_axis;
         let measured = peaks.iter().zip(errors);

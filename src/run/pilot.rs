@@ -194,7 +194,7 @@ impl Strip {
     fn peaks(&self, simulation: &Simulation) -> Vec<Peak> {
         let first = self.columns.start as u32;
         if simulation.plan.geometry_only {
-            let mut peaks = simulation.geometric_peaks(self.frame).0;
+            let mut peaks = simulation.geometric_peaks(&simulation.pose(self.frame)).0;
             peaks.retain(|peak| self.columns.contains(&(peak.column as usize)));
             return peaks;
         }

@@ -20,6 +20,13 @@ use crate::speckle::lookup::Method;
 use std::ops::Range;
 use std::sync::Arc;
 
+/// A frame and where the head is in the middle of it: computed once, and handed on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pose {
+    pub frame: u32,
+    pub part_from_head: Rigid,
+}
+
 pub struct Simulation {
     pub scene: Scene,
     pub accel: Arc<Accel>,
@@ -112,14 +119,25 @@ impl Simulation {
         self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
     }
 
-    pub fn view(&self, frame: u32) -> View<'_> {
-        self.view_at(frame as f64)
+    /// Where the head is in the middle of a frame.
+    pub(crate) fn pose(&self, frame: u32) -> Pose {
+        Pose {
+            frame,
+            part_from_head: self.scene.part_from_head(frame),
+        }
     }
 
-    /// The view at a place on the path, a frame number or between two.
-    fn view_at(&self, place: f64) -> View<'_> {
+    pub fn view(&self, frame: u32) -> View<'_> {
+        self.view_of(&self.pose(frame))
+    }
+
+    pub(crate) fn view_of(&self, pose: &Pose) -> View<'_> {
+        self.view_at(pose.frame as f64, pose.part_from_head)
+    }
+
+    /// The view at a place on the path, a frame number or between two, where the head is there.
+    fn view_at(&self, place: f64, part_from_head: Rigid) -> View<'_> {
         let scene = &self.scene;
-        let part_from_head = scene.part_from_head_at(place);
         View {
             accel: &self.accel,
             surface: scene.surface,
@@ -138,9 +156,12 @@ impl Simulation {
     }
 
     /// The views of one exposure.
-    fn views(&self, frame: u32) -> impl Iterator<Item = View<'_>> {
-        let places = self.scene.scan.exposure_places(frame);
-        places.map(|place| self.view_at(place))
+    fn views(&self, &pose: &Pose) -> impl Iterator<Item = View<'_>> + use<'_> {
+        let places = self.scene.scan.exposure_places(pose.frame);
+        places.map(move |place| match place == pose.frame as f64 {
+            true => self.view_of(&pose),
+            false => self.view_at(place, self.scene.part_from_head_at(place)),
+        })
     }
 
     /// Where light is sought: in what may see lit surface, or everywhere.
@@ -175,16 +196,16 @@ impl Simulation {
     }
 
     fn mean(&self, frame: u32, region: &Region) -> Irradiance {
-        let images = self
-            .views(frame)
-            .map(|view| frame::irradiance(&view, region));
+        let pose = self.pose(frame);
+        let images = self.views(&pose);
+        let images = images.map(|view| frame::irradiance(&view, region));
         Irradiance::mean(images.collect())
     }
 
     /// The lines of a frame, from its image or, if the plan takes none, from geometry.
     pub(crate) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
         match self.plan.geometry_only {
-            true => self.geometric_peaks(frame).0,
+            true => self.geometric_peaks(&self.pose(frame)).0,
             false => self.peaks(&self.image(frame)).0,
         }
     }
@@ -200,8 +221,12 @@ impl Simulation {
 
     /// The image that the sensor takes.
     pub fn image(&self, frame: u32) -> Counts {
-        let (region, key) = (self.region(), self.noise(frame));
-        frame::take(self.views(frame), &region, &self.readout, key)
+        self.image_of(&self.pose(frame))
+    }
+
+    pub(crate) fn image_of(&self, pose: &Pose) -> Counts {
+        let (region, key) = (self.region(), self.noise(pose.frame));
+        frame::take(self.views(pose), &region, &self.readout, key)
     }
 }
 

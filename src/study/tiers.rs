@@ -39,7 +39,9 @@ impl Tier {
     pub fn frame(&self, frame: u32) -> TierFrame {
         if self.simulation.plan.geometry_only {
             return TierFrame {
-                peaks: self.simulation.geometric_peaks(frame).0,
+                peaks: (self.simulation)
+                    .geometric_peaks(&self.simulation.pose(frame))
+                    .0,
                 pixels: 0,
             };
         }
