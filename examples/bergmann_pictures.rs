@@ -7,8 +7,9 @@
 use image::{GrayImage, Luma};
 use lasertrace::camera::Counts;
 use lasertrace::speckle::motion::overlap_correlation;
-use lasertrace::speckle::pattern::PatternSpec;
+use lasertrace::speckle::pattern::{Aperture, PatternSpec};
 use lasertrace::speckle::slices::Slices;
+use lasertrace::speckle::theory::integrated_contrast;
 use lasertrace::{Scene, Simulation};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -34,14 +35,23 @@ impl Picture {
         }
     }
 
-    fn cut(&self, left: usize, top: usize, side: usize) -> Picture {
-        let row = |y: usize| self.columns * y + left..self.columns * y + left + side;
+    /// Rows as columns.
+    fn turned(&self) -> Picture {
+        let column = |x: usize| self.values[x..].iter().step_by(self.columns).copied();
         Picture {
-            columns: side,
-            rows: side,
-            values: (top..top + side)
-                .flat_map(|y| self.values[row(y)].to_vec())
-                .collect(),
+            columns: self.rows,
+            rows: self.columns,
+            values: (0..self.columns).flat_map(column).collect(),
+        }
+    }
+
+    /// The rectangle of this size below and to the right of a pixel.
+    fn cut(&self, [left, top]: [usize; 2], [columns, rows]: [usize; 2]) -> Picture {
+        let row = |y: usize| &self.values[self.columns * y + left..][..columns];
+        Picture {
+            columns,
+            rows,
+            values: (top..top + rows).flat_map(row).copied().collect(),
         }
     }
 
@@ -85,16 +95,25 @@ fn save(path: PathBuf, pictures: &[Picture]) -> Result<(), image::ImageError> {
     image.save(path)
 }
 
+fn white(scene: &Scene) -> f64 {
+    f64::from(scene.camera.sensor.max_count())
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().nth(1).unwrap_or("docs/bergmann".into());
     let folder = Path::new(&folder);
     let text = |name: &str| std::fs::read_to_string(folder.join(name));
     let parse = |text: &str| Scene::parse(text, folder);
 
-    let scene = parse(&text("point.toml")?)?;
-    let white = f64::from(scene.camera.sensor.max_count());
-    let image = Simulation::new(&scene)?.image(0);
-    save(folder.join("point.png"), &[Picture::of(&image, white)])?;
+    let at_the_plane = text("point.toml")?;
+    let before_it = at_the_plane.replace("waist_distance_mm = 50", "waist_distance_mm = 40");
+    let mut pictures = Vec::new();
+    for text in [at_the_plane, before_it] {
+        let scene = parse(&text)?;
+        let image = Simulation::new(&scene)?.image(0);
+        pictures.push(Picture::of(&image, white(&scene)).turned());
+    }
+    save(folder.join("point.png"), &pictures)?;
 
     let scene = parse(&text("translated.toml")?)?;
     let simulation = Simulation::new(&scene)?;
@@ -104,8 +123,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pixels = lens.magnification() * step / scene.camera.sensor.pixel_pitch;
     let frame = |k: u32| {
         // The surface runs to lower columns as the head runs to higher ones.
-        let left = 300 - (f64::from(k) * pixels).round() as usize;
-        Picture::of(&simulation.image(k), white).cut(left, 8, 192)
+        let left = 220 - (f64::from(k) * pixels).round() as usize;
+        Picture::of(&simulation.image(k), white(&scene)).cut([left, 8], [800, 496])
     };
     let frames: Vec<Picture> = (0..scene.scan.frames).map(frame).collect();
     println!("| δ, pupil diameters | correlation with the first | overlap law |");
@@ -118,22 +137,27 @@ fn main() -> Result<(), Box<dyn Error>> {
             overlap_correlation(delta)
         );
     }
-    save(folder.join("translated.png"), &frames)?;
+    let cut = |frame: &Picture| frame.cut([0, 0], [192, 192]);
+    save(
+        folder.join("translated.png"),
+        &frames.iter().map(cut).collect::<Vec<_>>(),
+    )?;
 
-    println!("\n| f-number | grain h, µm | pixels | contrast of the image |");
-    println!("|---|---|---|---|");
+    println!("\n| f-number | grain h, µm | pixels | contrast of the image | closed form |");
+    println!("|---|---|---|---|---|");
     let f_11 = text("f-number.toml")?;
     let f_45 = f_11
         .replace("f_number = 11", "f_number = 45")
-        .replace("exposure_ms = 1.5", "exposure_ms = 25.1");
+        .replace("exposure_ms = 0.5", "exposure_ms = 8.37");
     for (name, text) in [("f-11.png", f_11), ("f-45.png", f_45)] {
         let scene = parse(&text)?;
         let lens = &scene.camera.lens;
         let grain = scene.laser.beam.wavelength * lens.image_distance() / lens.pupil_diameter();
-        let picture = Picture::of(&Simulation::new(&scene)?.image(0), white);
+        let picture = Picture::of(&Simulation::new(&scene)?.image(0), white(&scene));
         let pixels = grain / scene.camera.sensor.pixel_pitch;
         let (f, h, contrast) = (lens.f_number, 1e3 * grain, picture.contrast());
-        println!("| {f} | {h:.1} | {pixels:.2} | {contrast:.3} |");
+        let law = integrated_contrast(Aperture::Circle, 1.0 / pixels);
+        println!("| {f} | {h:.1} | {pixels:.2} | {contrast:.3} | {law:.3} |");
         save(folder.join(name), &[picture])?;
     }
 
@@ -162,7 +186,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let whole = slice(k);
         let found = whole.correlation(&first);
         println!("| {k} | {found:.3} | {:.3} |", slices.overlap_law(0, k));
-        cuts.push(whole.cut(0, 0, 160));
+        cuts.push(whole.cut([0, 0], [160, 160]));
     }
     save(folder.join("slices.png"), &cuts)?;
     Ok(())
