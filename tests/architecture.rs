@@ -1,4 +1,4 @@
-//! The laws of DESIGN.md, read off the source text: which room may import which,
+//! The laws of ARCHITECTURE.md, read off the source text: which room may import which,
 //! where `unsafe` may stand, how long a function may be, who may speak
 //! to the terminal. A law that is broken on purpose goes into a table below with
 //! its reason.
