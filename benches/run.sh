@@ -13,7 +13,7 @@ set -eu
 
 cd "$(dirname "$0")/.."
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-export CARGO_TERM_COLOR=never
+export CARGO_TERM_COLOR=never LC_ALL=C
 benches=${BENCHES:-$(ls benches/*.rs | sed 's,.*/,,; s,\.rs$,,')}
 out=$PWD/out/bench
 mkdir -p "$out"

@@ -8,7 +8,7 @@ set -eu
 
 cd "$(dirname "$0")/.."
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-export CARGO_TERM_COLOR=never
+export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
