@@ -6,8 +6,9 @@
 
 use image::{GrayImage, Luma};
 use lasertrace::camera::Counts;
+use lasertrace::math::Aperture;
 use lasertrace::speckle::motion::overlap_correlation;
-use lasertrace::speckle::pattern::{Aperture, PatternSpec};
+use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::slices::Slices;
 use lasertrace::speckle::theory::integrated_contrast;
 use lasertrace::{Scene, Simulation};
