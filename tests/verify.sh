@@ -12,7 +12,7 @@ export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
-small) page=$out/small.md rays=200000 surfaces=8 seconds=5 profile= ;;
+small) page=$out/small.md rays=200000 surfaces=8 seconds=3 profile= ;;
 long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release ;;
 *) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
 esac
