@@ -1,11 +1,14 @@
 # make demo: scan the example part and say which pictures and report to open.
 # make test: run every test.
-# make bench: run every bench, figures in out/bench/index.md; benches/run.sh does more.
+# make bench: run every bench, ratios in docs/benchmarks.md; make bench BASE=GIT-REF holds
+#   that commit against this checkout.
+# make verify: the long checks and those with other programs, figures in docs/verification.md;
+#   VERIFY=small takes two minutes at most.
 # All first install what the machine lacks.
 # rustup's cargo is found even by a shell that has not read its profile.
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 
-.PHONY: demo test bench setup
+.PHONY: demo test bench verify setup
 
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
@@ -14,7 +17,10 @@ test: setup
 	cargo test
 
 bench: setup
-	benches/run.sh
+	benches/run.sh $(BASE)
+
+verify: setup
+	tests/verify.sh $(VERIFY)
 
 setup:
 	@sh ffi/setup.sh

@@ -1,74 +1,116 @@
 #!/bin/sh
-# Runs all benches and writes their figures to out/bench/index.md, beside ratios to
-# another checkout's.
+# Runs the benches. Figures are ratios, since times differ from machine to machine.
 #
-#   benches/run.sh [--large] [--against FILE]
+#   benches/run.sh            writes docs/benchmarks.md
+#   benches/run.sh GIT-REF    holds this checkout against that one, the two in turn, and
+#                             writes out/bench/against.md
 #
-#   --large         also 12.9 M triangles: minutes more, 3 GB
-#   --against FILE  out/bench/figures.json of a run in another checkout, or of an
-#                   earlier commit, on the same machine and best as idle
-#
-# Needs critcmp: cargo install critcmp.
+#   BENCHES="frame speckle"   only these
+#   ROUNDS=5                  how often the two take turns
+#   LASERTRACE_BENCH_LARGE=1  also 12.9 million triangles: minutes more, 3 GB
+#   LASERTRACE_PAIRS=11       fewer pairs than 51 for frame_over_embree
 set -eu
 
 cd "$(dirname "$0")/.."
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-name=$(git describe --always --dirty 2>/dev/null || echo here)
-against=
-while [ $# -gt 0 ]; do
-    case $1 in
-    --large) export LASERTRACE_BENCH_LARGE=1 ;;
-    --against)
-        against=${2:?"--against: expected figures.json of another run"}
-        [ -r "$against" ] || { echo "bench: cannot read $against" >&2; exit 74; }
-        shift
-        ;;
-    *) sed -n '2,/^$/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
-    esac
-    shift
-done
-command -v critcmp >/dev/null || {
-    echo "bench: critcmp is needed: run 'cargo install critcmp'" >&2
-    exit 69
-}
-
-out=out/bench
+export CARGO_TERM_COLOR=never LC_ALL=C
+benches=${BENCHES:-$(ls benches/*.rs | sed 's,.*/,,; s,\.rs$,,')}
+out=$PWD/out/bench
 mkdir -p "$out"
-log=$out/log.txt
-: >"$log"
-for bench in benches/*.rs; do
-    bench=$(basename "$bench" .rs)
-    echo "bench: $bench" >&2
+
+# Runs a bench of the checkout in a folder; what it prints goes to a file.
+run() {
     # Not piped, which would hide that a bench failed.
-    cargo bench --features race --bench "$bench" -- --save-baseline "$name" >>"$log" 2>&1 || {
-        tail -n 20 "$log" >&2
+    (cd "$1" && cargo bench --features race --bench "$2" -- --measurement-time 2) >"$3" 2>&1 || {
+        tail -n 20 "$3" >&2
+        echo "bench: $2 failed in $1" >&2
         exit 70
     }
-done
-critcmp --export "$name" >"$out/figures.json.new"
-mv "$out/figures.json.new" "$out/figures.json"
+}
 
+# Of what benches print: name, tab, figure; times in ns.
+figures() {
+    awk -v OFS='\t' '
+        /time: +\[/ {
+            name = $0; sub(/ *time:.*/, "", name); if (name == "") name = before
+            unit = $0; sub(/.*\[/, "", unit); split(unit, part, " ")
+            scale["ns"] = 1; scale["ms"] = 1e6; scale["s"] = 1e9
+            print name, part[3] * (part[4] in scale ? scale[part[4]] : 1e3)
+        }
+        / \(median of / { name = $0; sub(/: [0-9.]+ \(median.*/, "", name)
+            value = $0; sub(/ \(median.*/, "", value); sub(/.*: /, "", value); print name, value }
+        /^\| [a-z]/ && $4 ~ /^[0-9.]+$/ { print "frame over Embree, " $2, $4 }
+        { before = $0 }' "$1"
+}
+
+. benches/conditions.sh
+
+if [ $# -eq 0 ]; then
+    page=docs/benchmarks.md
+    {
+        echo '# Benchmarks'
+        echo
+        echo 'Written by `make bench`; `make bench BASE=GIT-REF` holds two checkouts against each other.'
+        echo
+        echo '| bench | ratio | median | quartiles | pairs |'
+        echo '|---|---|---|---|---|'
+        for bench in $benches; do
+            echo "bench: $bench" >&2
+            run . "$bench" "$out/$bench.txt"
+            sed -nE "s/^(.*): ([0-9.]+) \(median of ([0-9]+) pairs; quartiles (.*), (.*)\)$/\
+| $bench | \1 | \2 | \4 to \5 | \3 |/p" "$out/$bench.txt"
+        done
+        for bench in $benches; do
+            [ "$bench" != frame_over_embree ] || { echo; grep -E '^\||^frame over' "$out/$bench.txt"; }
+        done
+        echo
+        conditions
+    } >"$out/page.md"
+    mv "$out/page.md" "$page"
+    echo "$page"
+    exit
+fi
+
+base=target/bench-base
+git rev-parse --verify --quiet "$1^{commit}" >/dev/null || {
+    echo "bench: found '$1', expected a commit, branch or tag" >&2
+    exit 64
+}
+if [ -d "$base" ]; then
+    git -C "$base" checkout --quiet --force --detach "$(git rev-parse "$1")"
+else
+    git worktree prune
+    git worktree add --quiet --detach "$base" "$1"
+fi
+: >"$out/pairs.tsv"
+for bench in $benches; do
+    [ -f "$base/benches/$bench.rs" ] || { echo "bench: $1 has no $bench" >&2; continue; }
+    for round in $(seq "${ROUNDS:-5}"); do
+        echo "bench: $bench, round $round" >&2
+        # The first of a round is not always the same.
+        if [ $((round % 2)) -eq 0 ]; then order=". $base"; else order="$base ."; fi
+        for tree in $order; do
+            run "$tree" "$bench" "$out/$(basename "$(realpath "$tree")").$bench.txt"
+        done
+        figures "$out/$(basename "$base").$bench.txt" >"$out/base.tsv"
+        figures "$out/$(basename "$PWD").$bench.txt" |
+            awk -F'\t' -v OFS='\t' -v bench="$bench" \
+                'NR == FNR { base[$1] = $2; next } $1 in base { print bench, $1, $2 / base[$1] }' \
+                "$out/base.tsv" - >>"$out/pairs.tsv"
+    done
+done
 {
-    echo "# Benches at $name"
+    echo "# This checkout over $(git describe --always "$1")"
     echo
-    echo "$(date -u +%Y-%m-%d), $(nproc) threads, load $(cut -d' ' -f1 /proc/loadavg) at the end."
+    echo '| bench | figure | ratio, median | least to most | rounds |'
+    echo '|---|---|---|---|---|'
+    sort -t "$(printf '\t')" -k1,2 -k3,3g "$out/pairs.tsv" | awk -F'\t' '
+        function row() { if (n) printf "| %s | %.3f | %.3f to %.3f | %d |\n", name,
+            (v[int((n + 1) / 2)] + v[int(n / 2) + 1]) / 2, v[1], v[n], n }
+        $1 " | " $2 != name { row(); name = $1 " | " $2; n = 0 }
+        { v[++n] = $3 }
+        END { row() }'
     echo
-    if [ -n "$against" ]; then
-        echo 'Time a run, with its spread; before it the ratio to the faster of the two.'
-    else
-        echo 'Time a run, with its spread.'
-    fi
-    echo
-    echo '```'
-    critcmp --color never ${against:+"$against"} "$out/figures.json"
-    echo '```'
-    echo
-    echo '## What the benches print themselves'
-    echo
-    echo '```'
-    # Its own words have a bracket, or begin with one of these.
-    grep -E '^[a-z0-9][^[]*: .*[0-9]|^\|' "$log" | grep -vE '^(warning|error|note)' || true
-    echo '```'
-} >"$out/index.md.new"
-mv "$out/index.md.new" "$out/index.md"
-echo "$out/index.md"
+    conditions
+} >"$out/against.md"
+cat "$out/against.md"

@@ -8,7 +8,7 @@
 //! let scene = Scene::parse(text, "folder-of-its-files".as_ref())?;
 //! let simulation = Simulation::new(&scene)?; // owns what it needs: share it among threads
 //! let image = simulation.image(0); // what the sensor takes in frame 0
-//! let counts: Vec<u16> = image.to_rows();
+//! let counts: &[u16] = image.by_column();
 //! let (_, profile) = simulation.measure(0, &image); // its points on the part
 //! assert_eq!((counts.len(), profile.len()), (640 * 300, 640));
 //! for point in &profile {

@@ -1,6 +1,6 @@
 //! An assembly of copies of one mesh against its flattened twin, the vertices of every
 //! copy moved in f64 into one mesh: images, profiles without an image, deviations,
-//! coverage, under every backend. The figures printed are those of DESIGN.md.
+//! coverage, under every backend. What it prints are figures of this machine.
 
 mod flattened;
 mod program;

@@ -8,6 +8,7 @@ use lasertrace::accel::{Accel, Backend, Clusters};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::shapes;
 use peak_alloc::PeakAlloc;
+use std::sync::Arc;
 
 #[global_allocator]
 static ALLOCATED: PeakAlloc = PeakAlloc;
@@ -18,10 +19,10 @@ static ALLOCATED: PeakAlloc = PeakAlloc;
 /// is built a copy takes the 220 bytes that are asked for, and rayon's stacks of work.
 #[test]
 fn a_thousand_copies_take_what_one_does() {
-    let small = shapes::sphere(1.0, 0.1).unwrap();
+    let small = Arc::new(shapes::sphere(1.0, 0.1).unwrap());
     let places = (0..200_000).map(|i| DVec3::new((i % 500) as f64, (i / 500) as f64, 0.0));
-    let poses: Vec<Rigid> = places.map(Rigid::translation).collect();
-    let accel = Accel::build_with(Backend::Rust, &small.clone().into(), 1, &|_| Ok(())).unwrap();
+    let poses: Arc<[Rigid]> = places.map(Rigid::translation).collect();
+    let accel = Accel::build_with(Backend::Rust, &small, 1, &|_| Ok(())).unwrap();
     let before = ALLOCATED.current_usage();
     ALLOCATED.reset_peak_usage();
     drop(accel.with_copies(poses.clone()).unwrap());
@@ -29,13 +30,13 @@ fn a_thousand_copies_take_what_one_does() {
     println!("{each} bytes a copy while their tree is built");
     assert!(each < 220, "{each}");
 
-    let mesh = shapes::sphere(1.0, 2e-5).unwrap();
+    let mesh = Arc::new(shapes::sphere(1.0, 2e-5).unwrap());
     let build = |count: usize| {
         let before = ALLOCATED.current_usage();
         let places = (0..count).map(|i| DVec3::new((i % 32) as f64, (i / 32) as f64, 0.0) * 1.7);
-        let poses: Vec<Rigid> = places.map(Rigid::translation).collect();
+        let poses: Arc<[Rigid]> = places.map(Rigid::translation).collect();
         let clusters = Clusters::new(&mesh);
-        let accel = Accel::build_with(Backend::Rust, &mesh.clone().into(), 1, &|_| Ok(())).unwrap();
+        let accel = Accel::build_with(Backend::Rust, &mesh, 1, &|_| Ok(())).unwrap();
         let accel = accel.with_copies(poses.clone()).unwrap();
         let taken = ALLOCATED.current_usage() - before;
         assert_eq!(accel.poses().len(), count);

@@ -65,7 +65,7 @@ fn an_absent_scene_is_an_input_output_error() {
         folder.path(),
         &["check", "."],
         65,
-        &["not a regular file", "TOML"],
+        &["found a folder", "TOML"],
     );
 }
 

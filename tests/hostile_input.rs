@@ -51,6 +51,10 @@ fn changed(folder: &Path, from: &str, to: &str) {
 
 const SENSOR: &str = "resolution_px = [64, 48]";
 
+/// Of a path, and of one of many frames that all see the part.
+const FRAMES: &str = "frames = 3\nstep_mm = 0.5";
+const MANY_FRAMES: &str = "frames = 1000000\nstep_mm = 1e-5";
+
 /// A file outside the output folder, and the folder with a link to it of that name.
 fn linked(folder: &Path, name: &str) {
     changed(folder, "seed = 7", "seed = 8");
@@ -216,10 +220,26 @@ fn cases() -> Vec<Case> {
             |folder| changed(folder, "frames = 3", "frames = 4294967295"),
         ),
         case(
+            "a scan with more points than fit memory",
+            "ulimit -v 4000000; lasertrace scan scene.toml -o out",
+            75,
+            "lasertrace: the report of a scan of 1000000 frames and about … points, 160 bytes \
+             each, takes … GB, and … GB of memory are free: …",
+            |folder| changed(folder, FRAMES, MANY_FRAMES),
+        ),
+        case(
+            "the same, before it",
+            "ulimit -v 4000000; lasertrace check scene.toml",
+            0,
+            "  memory            … GB: MORE THAN THE … GB THAT ARE FREE",
+            |folder| changed(folder, FRAMES, MANY_FRAMES),
+        ),
+        case(
             "a file larger than the user may write (SIGXFSZ)",
             "ulimit -f 4; lasertrace scan scene.toml -o out",
             75,
-            "lasertrace: cannot write out/…: File too large (os error 27)",
+            "lasertrace: cannot write out/…: File too large (os error 27); when there is room, run \
+             the same command with --resume …",
             |folder| changed(folder, "seed = 7", "seed = 8"),
         ),
         case(

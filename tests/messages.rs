@@ -323,7 +323,7 @@ fn check_prints_a_page_to_read_and_json_only_if_asked() {
     for words in [
         "No warnings: the sensor measures the part on this path.",
         "measuring range",
-        "height of 1 px",
+        "height per pixel",
         "the sensor moves 0.500 mm from frame to frame, 1.00 mm in all",
         "The whole scan, about",
         "closed, normals outward",

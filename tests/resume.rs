@@ -241,11 +241,22 @@ fn what_changed_since_is_named_and_nothing_is_touched() {
     assert_eq!(results(path).1, 0, "without --resume the scan starts anew");
 }
 
-/// The frames of a scan taken in pieces have the files they have in the whole.
+/// The frames of a scan taken in pieces have the files they have in the whole, and their points
+/// the flags, which neighbouring frames set at the horizons of a ball.
 #[test]
 fn pieces_equal_the_whole() {
-    let text = with_frames(9).replace("speckle = false", "speckle = true");
-    let (_whole, expected) = complete(&text);
+    let plane = with_frames(9).replace("speckle = false", "speckle = true");
+    // Frames further apart than the beam is wide.
+    let ball = plane
+        .replace(PLANE, "sphere = { radius_mm = 3, chord_um = 5 }")
+        .replace("step_mm = 0.01", "step_mm = 0.65")
+        .replace("start_mm = [0, -0.5, 0]", "start_mm = [0, -3, 0]");
+    assert_pieces_equal_the_whole(&plane);
+    assert_pieces_equal_the_whole(&ball);
+}
+
+fn assert_pieces_equal_the_whole(text: &str) {
+    let (_whole, expected) = complete(text);
     // Without their colours, whose scale is that of a whole cloud.
     let vertices = |ply: &[u8]| {
         let end = b"end_header\n";
@@ -257,7 +268,7 @@ fn pieces_equal_the_whole() {
     let mut cloud = Vec::new();
     let mut frames = 0;
     for piece in ["0..1", "1..6", "6..9"] {
-        let folder = folder_with(&text);
+        let folder = folder_with(text);
         finish(folder.path(), &["--frames", piece]);
         let (found, _) = results(folder.path());
         for (name, bytes) in &found {
@@ -270,7 +281,7 @@ fn pieces_equal_the_whole() {
     }
     assert_eq!(frames, 2 * 9);
     assert!(cloud == vertices(&expected["cloud.ply"]));
-    let folder = folder_with(&text);
+    let folder = folder_with(text);
     for (wrong, words) in [
         ("3..3", "A < B"),
         ("4..10", "at most 9"),

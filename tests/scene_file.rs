@@ -47,6 +47,11 @@ const MISTAKES: &[(&str, &str, &str)] = &[
         ":1: seed: found -7, expected a whole number, not negative",
     ),
     (
+        "frames = 3",
+        "frames = 4294967296",
+        "scan.frames: found 4294967296, expected a whole number from 0 to 4294967295",
+    ),
+    (
         "speckle = false\n",
         "",
         "scene.toml: speckle is missing, expected speckle = ... above the first [table]",

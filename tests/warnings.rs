@@ -337,6 +337,8 @@ fn check_scan_report_and_summary_say_the_same() {
     for legend in [
         "Deviation from the CAD surface",
         "Standard uncertainty of the deviation",
+        "greatest spread of depth",
+        "most flags",
     ] {
         assert!(!report.contains(legend), "{legend}");
     }

@@ -17,7 +17,7 @@ pub struct Arguments {
     /// Times everything is built and timed, in turn
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..))]
     rounds: u16,
-    /// Longest time for each racer, s; what it has no time for is reported
+    /// Longest time for each hierarchy, s; what it has no time for is reported
     #[arg(long, value_name = "S", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
     /// Folder to write to

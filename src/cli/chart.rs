@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Frames to take, spread over the scan
     #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..1000))]
     frames: u32,
-    /// Times each frame is timed in each way, in turn
+    /// How often each frame is timed with each combination of methods
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..1000))]
     rounds: u32,
     /// Folder to write to
@@ -45,7 +45,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 
 fn text(chart: &Chart) -> String {
     let mut text = format!(
-        "{}\n\n{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  way\n",
+        "{}\n\n{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  method\n",
         chart.headline(),
         "ms",
         "speed-up",

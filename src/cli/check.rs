@@ -155,7 +155,7 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
         + &line("camera", &camera)
         + &line("measuring range", &range)
         + &line(
-            "height of 1 px",
+            "height per pixel",
             &format!("{} µm", short(1e3 / plan.px_per_mm)),
         )
         + &line(

@@ -41,16 +41,24 @@ impl Complaints {
     /// An error: one line on stderr for people, and with `json` one object on stdout for
     /// programs. A stream that is closed must not hide the exit code.
     pub fn say(self, error: &Error) {
-        let next = match error {
-            Error::Interrupted if self.resumable => {
-                "; run the same command with --resume to go on after the last finished frame: without \
-             --resume it starts anew and replaces them all"
+        // Of what the file system refuses, this is what it may grant later: room.
+        let full = matches!(error, Error::Io { .. }) && error.exit_code() == 75;
+        let interrupted = matches!(error, Error::Interrupted);
+        let when = if full { "when there is room, " } else { "" };
+        let other = matches!(error, Error::OtherRun { .. });
+        let next = match self.resumable {
+            _ if other => "without --resume the scan starts anew and replaces it",
+            _ if !full && !interrupted => "",
+            true => {
+                "run the same command with --resume to go on after the last finished frame: without \
+                 --resume it starts anew and replaces them all"
             }
-            Error::Interrupted => "; run the same command again: it starts anew",
-            Error::OtherRun { .. } => "; without --resume the scan starts anew and replaces it",
-            _ => "",
+            false => "run the same command again: it starts anew",
         };
-        let message = format!("{error}{next}");
+        let message = match next {
+            "" => error.to_string(),
+            next => format!("{error}; {when}{next}"),
+        };
         super::say(&message);
         if self.json {
             let place = match error {

@@ -60,17 +60,17 @@ enum Command {
     Scan(scan::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
-    /// Chart accuracy against speed: every way of doing the scene's frames
+    /// Chart accuracy against speed: each combination of methods, on frames of the scene
     Chart(chart::Arguments),
-    /// Make a speckle pattern and hold its statistics against theory
+    /// Make a speckle pattern and compare its statistics with theory
     Speckle(speckle::Arguments),
     /// Wave-optics reference: motions and line widths, or one patch of a scene
     Wave(wave::Arguments),
     /// Chart the errors of each peak finder, or run all on an image of your own
     Peaks(peaks::Arguments),
-    /// Hold predicted uncertainties against the scatter over many seeds
+    /// Compare predicted uncertainties with the scatter over many seeds
     Uncertainty(uncertainty::Arguments),
-    /// Race Embree against hierarchies in Rust on a mesh: speed, memory, misses
+    /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file
     Schema,

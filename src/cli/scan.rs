@@ -16,16 +16,16 @@ pub struct Arguments {
     scene: SceneArguments,
     #[command(flatten)]
     coverage: CoverageArguments,
-    /// Only the frames from A up to and without B
+    /// Only the frames from A to B - 1
     #[arg(long, value_name = "A..B", value_parser = frames)]
     frames: Option<Range<u32>>,
-    /// Keep the frames that an earlier run in this folder finished
+    /// Go on from an earlier run in this folder; the frames it finished are not taken again
     #[arg(long)]
     resume: bool,
     /// No images: profiles from laser rays and what the camera sees of them
     #[arg(long)]
     geometry_only: bool,
-    /// Exit with code 65 if nothing worth having can be or was measured
+    /// Exit with code 65 if there are warnings, before the scan or of its result
     #[arg(long)]
     strict: bool,
     /// Also write cloud.csv, cloud.e57, profiles.npy; intensity_dn is the sum of the line's

@@ -2,10 +2,8 @@
 
 use crate::math::DVec3;
 use crate::profile::Flags;
-use crate::report::color::diverging;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use std::io::{self, Write};
 
 /// One measured point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,102 +34,5 @@ impl CloudPoint {
     /// stated (OUTSIDE) does not make it so.
     pub fn is_sound(&self) -> bool {
         self.flags.is_sound()
-    }
-}
-
-/// Deviation at which colours end, µm: 98 of 100 valid points lie within; a nanometre where all
-/// is exact, and a micrometre without a valid point.
-pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64) -> f64 {
-    let valid = points.iter().filter(|p| p.is_sound());
-    let mut values: Vec<f64> = valid.map(|p| value(p).abs() * 1e3).collect();
-    values.sort_by(f64::total_cmp);
-    let at = values.get(values.len() * 98 / 100);
-    at.map_or(1.0, |&d| d.max(1e-3))
-}
-
-/// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
-/// (uchar; the deviation, as in the report), deviation, sigma and deviation_sigma (float, mm),
-/// intensity (float, counts), frame, column and flags (int, which every reader takes; the bits
-/// of [`Flags`]).
-pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
-    write!(
-        out,
-        "ply\nformat binary_little_endian 1.0\n\
-         comment lasertrace: millimetres, frame of the part\n\
-         element vertex {}\n\
-         property double x\nproperty double y\nproperty double z\n\
-         property float nx\nproperty float ny\nproperty float nz\n\
-         property uchar red\nproperty uchar green\nproperty uchar blue\n\
-         property float deviation\nproperty float sigma\n\
-         property float deviation_sigma\nproperty float intensity\n\
-         property int frame\nproperty int column\nproperty int flags\nend_header\n",
-        points.len()
-    )?;
-    let limit = color_limit_um(points, |p| p.deviation);
-    for point in points {
-        for coordinate in point.position.to_array() {
-            out.write_all(&coordinate.to_le_bytes())?;
-        }
-        for component in point.normal.to_array() {
-            out.write_all(&component.to_le_bytes())?;
-        }
-        out.write_all(&diverging(point.deviation * 1e3, limit))?;
-        let CloudPoint {
-            deviation,
-            sigma,
-            deviation_sigma,
-            intensity,
-            ..
-        } = *point;
-        for value in [deviation, sigma, deviation_sigma, intensity] {
-            out.write_all(&(value as f32).to_le_bytes())?;
-        }
-        // Frames and columns are far below 2³¹.
-        for number in [point.frame, point.column, point.flags.bits().into()] {
-            out.write_all(&number.to_le_bytes())?;
-        }
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// As long as the header says, and numbers where it says they are.
-    #[test]
-    fn a_ply_holds_what_its_header_names() {
-        let point = |i: u32| CloudPoint {
-            position: DVec3::new(i as f64, 2.0, 3.0),
-            deviation: 0.01,
-            sigma: 0.02,
-            deviation_sigma: 0.015,
-            intensity: 900.0,
-            frame: 70_000 + i,
-            column: 7,
-            flags: Flags::WEAK | Flags::EDGE,
-            normal: Vec3::Y,
-        };
-        let points = [point(0), point(1)];
-        let mut bytes = Vec::new();
-        write_ply(&mut bytes, &points).unwrap();
-        let end = b"end_header\n";
-        let header = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
-        let text = std::str::from_utf8(&bytes[..header]).unwrap();
-        let sizes = [("double", 8), ("float", 4), ("uchar", 1), ("int", 4)];
-        let size = |line: &str| {
-            let kind = line.strip_prefix("property ")?.split(' ').next()?;
-            sizes.iter().find(|s| s.0 == kind).map(|s| s.1)
-        };
-        let record: usize = text.lines().filter_map(size).sum();
-        assert_eq!(text.matches("property").count(), 16);
-        assert_eq!(bytes.len() - header, 2 * record);
-        let second = &bytes[header + record..];
-        let int = |at: usize| u32::from_le_bytes(second[at..at + 4].try_into().unwrap());
-        assert_eq!(second[..8], 1f64.to_le_bytes());
-        assert_eq!(second[28..32], 1f32.to_le_bytes());
-        assert_eq!(second[36..39], diverging(10.0, 10.0));
-        let flags = (Flags::WEAK | Flags::EDGE).bits();
-        assert_eq!([55, 59, 63].map(int), [70_001, 7, flags.into()]);
     }
 }

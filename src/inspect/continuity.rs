@@ -3,8 +3,11 @@
 use super::cloud::CloudPoint;
 use super::coverage::HeadPose;
 use crate::laser::Laser;
+use crate::math::DVec3;
 use crate::profile::Flags;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
+use std::ops::Range;
 
 /// Beam radii (1/e²) by which the sheet of another frame is off a point at least: an edge that
 /// cuts the beam here is then 2 σ and more beyond the light there, or out of it.
@@ -44,6 +47,35 @@ pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], la
     }
 }
 
+/// Frames outside a piece of a scan of so many that [`compare_frames`] looks at for the piece's
+/// points: with what these frames measure it sets the same flags as for the whole scan. `pose`:
+/// of a frame.
+pub fn frames_beside(
+    piece: &Range<u32>,
+    frames: u32,
+    points: &[CloudPoint],
+    pose: impl Fn(u32) -> HeadPose + Sync,
+    laser: &Laser,
+) -> BTreeSet<u32> {
+    if *piece == (0..frames) {
+        return BTreeSet::new();
+    }
+    let of = |point: &CloudPoint| {
+        let apart = |&frame: &u32| is_apart(point.position, &pose(frame), laser);
+        let before = (0..point.frame).rev().find(apart);
+        let after = (point.frame + 1..frames).find(apart);
+        let found = [before, after].into_iter().flatten();
+        found.filter(|frame| !piece.contains(frame))
+    };
+    points.par_iter().flat_map_iter(of).collect()
+}
+
+/// Whether the sheet of a frame is off a point by so much that the beam does not reach it.
+fn is_apart(point: DVec3, pose: &HeadPose, laser: &Laser) -> bool {
+    let in_laser = pose.part_from_laser.inverse().point(point);
+    in_laser.y.abs() >= APART * laser.beam.radius(in_laser.length())
+}
+
 struct Cloud<'a> {
     points: &'a [CloudPoint],
     scanned: &'a [(u32, HeadPose)],
@@ -56,10 +88,7 @@ impl Cloud<'_> {
         let Ok(i) = self.scanned.binary_search_by_key(&point.frame, frame) else {
             return point.flags;
         };
-        let apart = |(_, pose): &&(u32, HeadPose)| {
-            let in_laser = pose.part_from_laser.inverse().point(point.position);
-            in_laser.y.abs() >= APART * self.laser.beam.radius(in_laser.length())
-        };
+        let apart = |(_, pose): &&(u32, HeadPose)| is_apart(point.position, pose, self.laser);
         let before = self.scanned[..i].iter().rev().find(apart).map(frame);
         let after = self.scanned[i + 1..].iter().find(apart).map(frame);
         let mut flags = point.flags;
@@ -122,3 +151,7 @@ fn is_one_line(point: &CloudPoint) -> bool {
     let other = Flags::DOUBLE | Flags::WIDE | Flags::WEAK | Flags::BORDER;
     !point.flags.intersects(other)
 }
+
+#[cfg(test)]
+#[path = "continuity_tests.rs"]
+mod tests;

@@ -202,6 +202,15 @@ fn length(mm: f64) -> String {
     }
 }
 
+/// A number > 0 to six digits.
+fn six_digits(number: f64) -> String {
+    let step = 10f64.powi(number.log10().floor() as i32 - 5);
+    match step {
+        step if step >= 1.0 => format!("{:.0}", (number / step).round() * step),
+        _ => length(number),
+    }
+}
+
 impl fmt::Display for MeshReport {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let (min, size) = (self.bounds_mm.min, self.bounds_mm.size());
@@ -238,7 +247,7 @@ impl fmt::Display for MeshReport {
         writeln!(f)?;
         write!(f, "surface           {orientation}")?;
         if self.volume_mm3 != 0.0 {
-            write!(f, ", around {} mm³", length(self.volume_mm3.abs()))?;
+            write!(f, ", volume {} mm³", six_digits(self.volume_mm3.abs()))?;
         }
         writeln!(f)?;
         let faults = [

@@ -10,4 +10,5 @@ pub mod in_view;
 pub mod rules;
 pub mod words;
 
+pub use grain_extent::GrainExtent;
 pub use rules::Plan;

@@ -89,13 +89,14 @@ impl Effect {
 }
 
 /// What the plan must know of speckle.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct SpeckleOptics {
     pub aperture: Aperture,
     /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
     pub contrast: f64,
     pub method: Method,
-    pub step: SpeckleStep,
+    /// Of pairs of frames ever further apart; none if slip cannot be modelled.
+    pub steps: Vec<SpeckleStep>,
 }
 
 /// What the plan must know of the motion in one exposure.
@@ -107,23 +108,28 @@ pub struct ExposureMotion {
     pub poses: u32,
 }
 
-/// What a step of the scan does to the speckle of a surface point.
+/// What the scan's way from one frame to another does to the speckle of a surface point.
 #[derive(Debug, Clone, Copy)]
 pub struct SpeckleStep {
+    /// Number of frames that the two lie apart.
+    pub frames: u32,
     /// Way of the point across the laser's sheet, mm.
     pub across_sheet: f64,
     /// Correlation γ of its intensities before and after.
     pub gamma: f64,
-    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains; `None`
-    /// if it cannot be modelled.
-    pub slip_grains: Option<f64>,
+    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains.
+    pub slip_grains: f64,
     /// Greatest way by which places of the view move otherwise than its middle, grains.
-    pub turn_grains: f64,
+    pub spread_grains: f64,
 }
 
-/// Error of the correlation of neighbouring frames up to which the pattern's slip is
-/// left out: what correlations of the patterns are good to.
+/// Error of the correlation of two frames up to which the pattern's slip is left out:
+/// what correlations of the patterns are good to.
 const CORRELATION_TOLERANCE: f64 = 0.01;
+
+/// Correlation of two frames from which on it is to be right; below, only the statistics
+/// of each count.
+pub const CORRELATED: f64 = 0.1;
 
 /// Relative error of speckle contrast that sampling may cause: what the pattern's own
 /// contrast is good to.
@@ -177,7 +183,7 @@ impl Plan {
         let distance = plane_normal.dot(plane_point) / plane_normal.z;
         let mut plan = Plan {
             geometry_only: false,
-            speckle: speckle.map(|optics| optics.method),
+            speckle: speckle.as_ref().map(|optics| optics.method),
             noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
@@ -261,7 +267,7 @@ impl Plan {
             true,
             match n {
                 1 => "1 ray a pixel".into(),
-                _ => format!("{n} × {n} samples a pixel; on flat pieces 1 ray, at edges as many"),
+                _ => format!("{n} × {n} samples a pixel; 1 ray on flat surface, all at edges"),
             },
             format!(
                 "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
@@ -308,35 +314,37 @@ struct LineImage {
 }
 
 impl LineImage {
-    /// Whether the pattern's slip on surfaces out of focus is modelled, and why.
+    /// Whether the pattern's slip on surfaces out of focus is modelled, and why. Slip adds
+    /// up from frame to frame, so that the pair of correlated frames counts whose
+    /// correlation it changes most.
     fn slip(&self, optics: &SpeckleOptics) -> Effect {
-        let step = &optics.step;
-        // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
-        let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
-        let slip = (step.slip_grains).map(|grains| grains * self.defocus + step.turn_grains);
-        let error = slip.map_or(0.0, |grains| {
+        let pair = |step: &SpeckleStep| {
+            // Two frames' lines overlap by ∫E(x)E(x − s)dx/∫E² = exp(−s²/w²).
+            let shared = (-(step.across_sheet / self.widest).powi(2)).exp() * step.gamma;
+            let grains = step.slip_grains * self.defocus + step.spread_grains;
+            let frames = step.frames;
             let kept = optics.aperture.field_correlation(DVec2::X * grains);
-            shared * (1.0 - kept * kept)
-        });
-        let modelled = error > CORRELATION_TOLERANCE;
-        Effect::new(
-            "speckle out of focus",
-            modelled,
-            match modelled {
-                true => {
-                    "two strips of the pupil's field, each read where its light was seen".into()
-                }
-                false => "moves with the surface".into(),
-            },
-            match slip {
-                Some(slip) => format!(
-                    "moves up to {slip:.2} grains a frame otherwise than the middle of the view: \
-                     without, the correlation of neighbouring frames, {shared:.3} at most, is \
-                     off by {error:.3}"
-                ),
-                None => "intensities are read, or speckle moves but hardly changes".into(),
-            },
-        )
+            (shared > CORRELATED).then_some((shared * (1.0 - kept * kept), shared, grains, frames))
+        };
+        let pairs = optics.steps.iter().filter_map(pair);
+        let worst = pairs.max_by(|a, b| a.0.total_cmp(&b.0));
+        let modelled = worst.is_some_and(|(error, ..)| error > CORRELATION_TOLERANCE);
+        let method = match modelled {
+            true => "two strips of the pupil's field, each read where its light was seen",
+            false => "moves with the surface",
+        };
+        let why = match worst {
+            Some((error, shared, grains, frames)) => format!(
+                "over {frames} frame{} it moves up to {grains:.2} grains otherwise than the middle of \
+                 the view: without, their correlation, {shared:.3} at most, is off by {error:.3}",
+                if frames == 1 { "" } else { "s" },
+            ),
+            None if optics.steps.is_empty() => {
+                "intensities are read, or speckle moves but hardly changes".into()
+            }
+            None => "neighbouring frames are not correlated".into(),
+        };
+        Effect::new("speckle out of focus", modelled, method.into(), why)
     }
 
     /// The image at these places of the laser's light; of one pixel where there is none.

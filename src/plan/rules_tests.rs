@@ -8,16 +8,11 @@ fn narrow_lines_and_fine_grain_need_more_samples() {
         aperture: Aperture::Circle,
         contrast: 1.0,
         method: Method::Field,
-        step: SpeckleStep {
-            across_sheet: 0.0,
-            gamma: 1.0,
-            slip_grains: None,
-            turn_grains: 0.0,
-        },
+        steps: Vec::new(),
     };
     let prefiltered = SpeckleOptics {
         method: Method::Prefiltered { q: 1.0 },
-        ..optics
+        ..optics.clone()
     };
     assert_eq!(samples_per_side(3.0, 1.0, None), 1);
     assert_eq!(samples_per_side(0.5, 1.0, None), 3);

@@ -1,29 +1,15 @@
 //! The lines of a frame, column by column, and what is doubtful about them.
 
 use super::background::{Background, Histogram, background, detection_sigmas};
+use super::flags::{WIDE_RATIO, compare_neighbours, median, of_line};
 use super::line::{Line, Located};
 use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
-use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
-use super::{Choice, Flags, Peak, PeakSettings};
+use super::{Choice, Peak, PeakSettings};
 use crate::camera::Counts;
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
-/// A line is wide above this many times the width of the frame's lines, climbing as it does.
-pub const WIDE_RATIO: f64 = 2.0;
-/// A line is weak below this share of the median height of the frame's lines: a
-/// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
-pub const WEAK_SHARE: f64 = 0.05;
-/// A line is weak below this many times the background's noise.
-pub const WEAK_SNR: f64 = 10.0;
-
-/// A line that is narrower, over five columns, than this share of those around, or these than
-/// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
-pub const NARROW_RATIO: f64 = 0.4;
-
-/// Share by which a line's width may differ from that of its window.
-const WIDTH_TOLERANCE: f64 = 0.1;
 
 /// Pixels of a column of which the highest is kept.
 const BLOCK: usize = 32;
@@ -91,12 +77,8 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     let peak = |found: Found| {
         let line = found.line;
         let (located, intensity) = found.located;
-        let mut flags = Flags::empty();
-        flags.set(Flags::DOUBLE, found.double);
-        flags.set(Flags::SATURATED, is_saturated(&line));
         let window = (WINDOW_SIGMAS * line.sigma).max(1.0);
         let inside = located.row >= window && located.row + window <= rows as f64;
-        flags.set(Flags::BORDER, !inside);
         Peak {
             column: found.column,
             row: located.row,
@@ -104,7 +86,7 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
             height: line.height,
             sigma: located.sigma,
             noise: line.background.noise,
-            flags,
+            flags: of_line(found.double, is_saturated(&line), inside),
         }
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
@@ -112,10 +94,11 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     peaks
 }
 
-/// Locates again, in windows of its own width, each line that is wider or narrower
-/// than was taken: on a slope towards the camera it is wider, and cut off by its window
-/// it would stray more than a whole one; on one away from it, it is narrower, and noise
-/// beside it would move it.
+/// Locates again each line in a window of its own width: on a slope towards the camera it is
+/// wider than was taken, and cut off by its window it would stray more than a whole one; on one
+/// away from it, it is narrower, and noise beside it would move it. However little the widths
+/// differ: were it done from some difference on, a trifle could decide on which noise is in
+/// the window.
 fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
     let single = lines.iter().filter(|found| !found.double);
     let widths = single.map(|found| (found.column, found.located.0.sigma));
@@ -126,7 +109,7 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
         };
         // One that is much wider than its neighbours is another line, not their speckle.
         let alike = found.located.0.sigma <= WIDE_RATIO * width;
-        if !alike || (width / found.line.sigma - 1.0).abs() <= WIDTH_TOLERANCE {
+        if !alike {
             continue;
         }
         let other = Line {
@@ -223,43 +206,4 @@ fn candidates(column: &Pixels, level: u16, width: f64) -> Vec<usize> {
         }
     }
     tops
-}
-
-/// Sets the flags that compare a line with its neighbours and with the others.
-pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
-    let height = median(peaks.iter().map(|p| p.height));
-    let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
-    let widths = Neighbourhood::new(columns, peaks.iter().map(|p| (p.column, p.sigma)));
-    for i in 0..peaks.len() {
-        let peak = &peaks[i];
-        let before = i.checked_sub(1).map(|i| &peaks[i]);
-        let before = before.filter(|before| touching(before, peak, sigma));
-        let after = peaks
-            .get(i + 1)
-            .filter(|after| touching(peak, after, sigma));
-        let first = peak.column == 0;
-        let last = peak.column as usize + 1 == columns;
-        let unbroken = (first || before.is_some()) && (last || after.is_some());
-        let climb = slope(before, peak, after).powi(2) * VARIANCE_OF_A_CLIMB;
-        let weak = peak.height < (WEAK_SHARE * height).max(WEAK_SNR * peak.noise);
-        let wide = peak.sigma > WIDE_RATIO * (sigma * sigma + climb).sqrt();
-        // A column by itself may be as narrow as a grain.
-        let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
-        let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
-        let narrow = beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma;
-        let flags = &mut peaks[i].flags;
-        flags.set(Flags::EDGE, !unbroken || narrow);
-        flags.set(Flags::WEAK, weak);
-        flags.set(Flags::WIDE, wide);
-    }
-}
-
-/// The middle value, the upper of two; 0 of none.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    match values.is_empty() {
-        true => 0.0,
-        false => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
-    }
 }

@@ -15,6 +15,7 @@ mod clipping;
 mod cut;
 mod find;
 mod fit;
+mod flags;
 mod horizon;
 mod influence;
 mod line;
@@ -31,12 +32,9 @@ pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
 pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::blinding_height;
-pub use find::{
-    CANDIDATE_SHARE, NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, find_peaks,
-};
+pub use find::{CANDIDATE_SHARE, find_peaks};
+pub use flags::{NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, weigh};
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use slope::JUMP_SIGMAS;
-pub use uncertainty::{
-    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError, SIGMAS_PX,
-};
-pub use variances::SpeckleGrain;
+pub use uncertainty::{ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError};
+pub use variances::{SIGMAS_PX, SpeckleGrain};

@@ -8,9 +8,9 @@ use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
-use super::variances::{Places, SpeckleGrain, Variances, along_row};
+use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row};
 use super::widths::{Expected, expected};
-use super::{Flags, Peak, PeakFinder, WEAK_SNR};
+use super::{Flags, Peak, PeakFinder};
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -19,8 +19,6 @@ pub const LARGEST_LIGHT_VARIANCE: f64 = 0.5;
 /// The same of a pixel's light for finders that take its shape as a Gaussian's, not
 /// its centre of gravity.
 pub const LARGEST_SHAPE_VARIANCE: f64 = 0.02;
-/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
-pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 /// Narrowest line for finders other than the centroid, whose bias is not known below.
 const LEAST_SHAPE_SIGMA_PX: f64 = 0.7;
 /// Variance by speckle of the centroid of an even stretch over that of a Gaussian of the
@@ -38,6 +36,16 @@ pub struct RowError {
     pub beside_edge: bool,
     /// Rows a column that the line climbs, 0 where it ends or jumps.
     pub slope: f64,
+    /// Whether `sigma` is that of lines like this one.
+    pub(super) is_valid: bool,
+    /// Whether there are whole lines around to compare this one with.
+    pub(super) compared: bool,
+    /// Whether an edge along the line rather cuts it than not.
+    pub(super) is_cut: bool,
+    /// Whether one may have cut more of it than its neighbours show.
+    pub(super) cut_unseen: bool,
+    /// Whether it saturates and keeps enough of its light.
+    pub(super) keeps_light: bool,
 }
 
 /// Predicts the standard uncertainty of the rows of peaks.
@@ -58,8 +66,8 @@ pub struct RowError {
 /// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
 /// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
 /// first term is what clipping leaves of it ([`Clipping`]). The
-/// ratio a centroid is brings its own second-order terms; they add up to
-/// −0.02·h/σ of the variance.
+/// ratio that a centroid is has terms of second order too, left out here: with few grains
+/// across the line it strays less than stated (`tests/uncertainty.rs` sums them exactly).
 ///
 /// Valid for a Gaussian line that no flag speaks against, measured as σ = 0.4 … 64 px
 /// wide (0.7 px for finders other than the centroid), whose columns hold two grains or more ([`LARGEST_LIGHT_VARIANCE`]); for finders other than the
@@ -98,15 +106,10 @@ impl ErrorModel {
         }
     }
 
-    /// How far each peak's row may be off. Sets [`Flags::OUTSIDE`] of the
-    /// peaks for which it is not valid. Takes [`Flags::SATURATED`] from centroids of lines
-    /// that keep enough of their light, [`Flags::EDGE`] from all that can be compared with whole
-    /// lines around them, and [`Flags::WEAK`] from those that stand out from noise and are weak
-    /// because an edge cuts them: what is stated holds for them. Sets [`Flags::EDGE`] where one may cut
-    /// the line unseen ([`offsets`]). `peaks` are those of one frame,
-    /// in the order of its `columns`; a line's width is that of its neighbourhood, as one column's
-    /// is mostly speckle, and that of its climb.
-    pub fn row_errors(&self, peaks: &mut [Peak], columns: usize) -> Vec<RowError> {
+    /// How far each peak's row may be off. `peaks` are those of one frame, in the order of its
+    /// `columns`; a line's width is that of its neighbourhood, as one column's is mostly speckle,
+    /// and that of its climb.
+    pub fn row_errors(&self, peaks: &[Peak], columns: usize) -> Vec<RowError> {
         let runs = runs(peaks);
         let expected = expected(peaks, &runs);
         let clipped = self.clipped(peaks, &expected);
@@ -120,58 +123,42 @@ impl ErrorModel {
         let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {
-            let (expected, sigma) = (&expected[i], sigmas[i]);
-            let peak = &mut peaks[i];
-            if expected.is_some_and(|e| !e.alone) {
-                peak.flags.remove(Flags::EDGE);
-            }
-            if cuts[i].chance > 0.5 && peak.height >= WEAK_SNR * peak.noise {
-                peak.flags.remove(Flags::WEAK);
-            }
-            // Whether an edge is near is for neighbouring frames to say.
-            let other = Flags::OUTSIDE | Flags::EDGE;
-            let inside = peak.flags.difference(other).is_empty()
-                && expected.is_some()
-                && self.is_valid(sigma, &variances[i]);
-            peak.flags.set(Flags::OUTSIDE, !inside);
+            let (peak, width, expected) = (&peaks[i], sigmas[i], &expected[i]);
             let climb = expected.map_or(0.0, |e| e.climb);
-            let variance = self.variance(peak, sigma, climb, &variances[i], &clipped[i]);
+            let whole = clipped[i].unwrap_or(Clipped::WHOLE);
+            let variance = self.variance(peak, width, climb, &variances[i], &whole);
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
             let sigma = (uncut + cut).sqrt();
-            if unseen[i] > UNSAID * sigma {
-                peak.flags.insert(Flags::EDGE);
-            }
             RowError {
                 sigma,
                 beside_edge: near_ends[i] || cut > uncut,
                 slope: runs[i].slope,
+                is_valid: expected.is_some() && self.is_valid(width, &variances[i]),
+                compared: expected.is_some_and(|e| !e.alone),
+                is_cut: cuts[i].chance > 0.5,
+                cut_unseen: unseen[i] > UNSAID * sigma,
+                keeps_light: clipped[i].is_some(),
             }
         };
         (0..sigmas.len()).map(of).collect()
     }
 
-    /// What saturation leaves of each line. Those of which it leaves enough are no longer flagged.
-    fn clipped(&self, peaks: &mut [Peak], expected: &[Option<Expected>]) -> Vec<Clipped> {
+    /// What saturation leaves of each line that saturates, of those of which it leaves enough.
+    fn clipped(&self, peaks: &[Peak], expected: &[Option<Expected>]) -> Vec<Option<Clipped>> {
         let saturated = |peak: &&Peak| peak.flags.contains(Flags::SATURATED);
         let heights = peaks.iter().filter(saturated).map(|peak| peak.height);
         let full = heights.fold(0.0, f64::max);
-        let of = |(peak, expected): (&mut Peak, &Option<Expected>)| {
-            let Some(expected) = expected.filter(|e| !e.alone) else {
-                return Clipped::WHOLE;
-            };
+        let of = |expected: &Option<Expected>| {
+            let expected = expected.filter(|e| !e.alone)?;
             let sigma = (expected.sigma.powi(2) + PIXEL_VARIANCE).sqrt();
             let clipped = self.clipping.at(expected.light, sigma, full);
-            let Some(clipped) = clipped.filter(Clipped::keeps_enough) else {
-                return Clipped::WHOLE;
-            };
-            peak.flags.remove(Flags::SATURATED);
-            clipped
+            clipped.filter(Clipped::keeps_enough)
         };
         if full == 0.0 || self.finder != PeakFinder::Centroid {
-            return vec![Clipped::WHOLE; peaks.len()];
+            return vec![None; peaks.len()];
         }
-        peaks.iter_mut().zip(expected).map(of).collect()
+        expected.iter().map(of).collect()
     }
 
     fn is_valid(&self, sigma: f64, at: &Variances) -> bool {

@@ -3,13 +3,16 @@
 
 use super::PeakFinder;
 use super::influence::{influence, shares};
-use super::uncertainty::SIGMAS_PX;
 use crate::camera::ChiefRays;
 use crate::math::Aperture;
 use crate::math::DVec2;
+use crate::speckle::column_covariance::ColumnCovariance;
 use crate::speckle::theory::strip_covariance;
 use glam::{DMat2, UVec2};
 use rayon::prelude::*;
+
+/// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
+pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 
 /// Speckle of the light on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,11 +75,14 @@ const PLACES_RAD: f64 = 0.1;
 
 impl Places {
     pub fn new(finder: PeakFinder, grain: Option<&SpeckleGrain>) -> Places {
+        let (least, most) = SIGMAS_PX;
+        let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+        let lines: Vec<Line> = (0..NODES).map(|i| Line::new(finder, sigma(i))).collect();
         let Some(grain) = grain else {
             return Places {
                 step: DVec2::ONE,
                 count: [1, 1],
-                nodes: vec![widths(finder, |_| vec![0.0])],
+                nodes: vec![widths(&lines, |_| vec![0.0])],
             };
         };
         let size = grain.resolution.as_dvec2();
@@ -91,7 +97,8 @@ impl Places {
         let count = cells.map(|cells| cells + 1);
         let node = |i: usize| {
             let place = step * DVec2::new((i % count[0]) as f64, (i / count[0]) as f64);
-            widths(finder, |parts| covariances(grain, place, parts))
+            let column = column(grain, place);
+            widths(&lines, |parts| covariances(grain, &column, place, parts))
         };
         Places {
             step,
@@ -124,18 +131,16 @@ impl Places {
     }
 }
 
-/// `covariances`: of the light of parts of pixels that have so many each.
-fn widths(finder: PeakFinder, covariances: impl Fn(usize) -> Vec<f64>) -> Widths {
-    let (least, most) = SIGMAS_PX;
-    let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+/// Variances of `lines`; `covariances`: of the light of parts of pixels that have so many each.
+fn widths(lines: &[Line], covariances: impl Fn(usize) -> Vec<f64>) -> Widths {
     let pixel = covariances(1)[0];
     let mut known = (0, Vec::new());
     std::array::from_fn(|i| {
-        let parts = parts(sigma(i));
-        if known.0 != parts {
-            known = (parts, covariances(parts));
+        let line = &lines[i];
+        if known.0 != line.parts {
+            known = (line.parts, covariances(line.parts));
         }
-        Variances::of(finder, sigma(i), parts, pixel, &known.1)
+        line.variances(pixel, &known.1)
     })
 }
 
@@ -146,20 +151,36 @@ fn parts(sigma: f64) -> usize {
     (4.0 / sigma).ceil() as usize
 }
 
+/// The same light of pixels of a column about a place, at all distances that [`covariances`]
+/// asks for.
+fn column(grain: &SpeckleGrain, place: DVec2) -> ColumnCovariance {
+    let grains = grain.grains_per_pixel(place);
+    // Eight grains, rounded up to parts, and a part's own height.
+    let reach = (8.0 * grain.along_column_px(place)).min(MOST_PIXELS) + 3.0;
+    ColumnCovariance::new(grain.aperture, grains, reach)
+}
+
+/// Most pixels, and parts of pixels, that any line lights so that covariances of those further
+/// apart matter.
+const MOST_PIXELS: f64 = 512.0;
+const MOST_PARTS: f64 = 64.0;
+
 /// Covariance of the light of parts 0, 1, … apart of the pixels of a column about a place, which
 /// have so many each, until what is left is below a thousandth of it all, as ∫μ² beyond r falls
 /// as (h/r)²/60, or past what any line of that many parts lights.
-fn covariances(grain: &SpeckleGrain, place: DVec2, parts: usize) -> Vec<f64> {
-    let most = if parts > 1 { 64.0 } else { 512.0 };
+fn covariances(
+    grain: &SpeckleGrain,
+    column: &ColumnCovariance,
+    place: DVec2,
+    parts: usize,
+) -> Vec<f64> {
+    let most = if parts > 1 { MOST_PARTS } else { MOST_PIXELS };
     let along = grain.along_column_px(place) * parts as f64;
     let lags = (8.0 * along).ceil().min(most) as usize + 1;
     let high = 1.0 / parts as f64;
-    let grains = grain.grains_per_pixel(place);
-    let covariance = |lag: usize| {
-        let lag = DVec2::Y * (lag as f64 * high);
-        grain.contrast.powi(2) * strip_covariance(grain.aperture, grains, high, lag)
-    };
-    (0..=lags).map(covariance).collect()
+    let mut all = column.of(high, (0..=lags).map(|lag| lag as f64 * high));
+    all.iter_mut().for_each(|c| *c *= grain.contrast.powi(2));
+    all
 }
 
 /// Covariance of the light of pixels 0, 1, … columns apart about a place.
@@ -170,40 +191,68 @@ pub(super) fn along_row(grain: &SpeckleGrain, place: DVec2, count: usize) -> Vec
     (0..count).map(of).collect()
 }
 
-impl Variances {
-    /// Mean over a line at a pixel's middle and one at its edge; `covariance` is that of parts.
-    fn of(
-        finder: PeakFinder,
-        sigma: f64,
-        parts: usize,
-        pixel: f64,
-        covariance: &[f64],
-    ) -> Variances {
-        let mut sum = Variances {
-            pixel,
-            ..Variances::default()
+/// A line of one width, as the mean over one at a pixel's middle and one at its edge.
+struct Line {
+    /// Into which each pixel's height is divided.
+    parts: usize,
+    shot: f64,
+    white: f64,
+    /// Sums of products of the light of parts so far apart, as it moves the finder and as it
+    /// is; those of both signs of a distance.
+    moves: Vec<f64>,
+    lights: Vec<f64>,
+}
+
+impl Line {
+    fn new(finder: PeakFinder, sigma: f64) -> Line {
+        let parts = parts(sigma);
+        let mut line = Line {
+            parts,
+            shot: 0.0,
+            white: 0.0,
+            moves: Vec::new(),
+            lights: Vec::new(),
         };
         for row in [0.0, 0.5] {
             let pixels = influence(finder, sigma, row);
             for &(light, weight) in &pixels {
-                sum.shot += weight * weight * light / 2.0;
-                sum.white += weight * weight / 2.0;
+                line.shot += weight * weight * light / 2.0;
+                line.white += weight * weight / 2.0;
             }
             // A part moves the finder as its pixel does.
             let weights = pixels.iter().flat_map(|p| std::iter::repeat_n(p.1, parts));
-            let parts: Vec<(f64, f64)> = shares(sigma, row, parts).zip(weights).collect();
-            for (lag, c) in covariance.iter().enumerate().take(parts.len()) {
-                // Both signs of a lag.
-                let c = if lag == 0 { c / 2.0 } else { *c };
-                for (a, b) in parts.iter().zip(&parts[lag..]) {
-                    sum.speckle += c * a.0 * a.1 * b.0 * b.1;
-                    sum.light += c * a.0 * b.0;
-                }
-            }
+            let lights: Vec<f64> = shares(sigma, row, parts).collect();
+            let moves: Vec<f64> = lights.iter().zip(weights).map(|(l, w)| l * w).collect();
+            add_products(&mut line.lights, &lights);
+            add_products(&mut line.moves, &moves);
         }
-        sum
+        line
     }
 
+    /// `covariance` is that of parts.
+    fn variances(&self, pixel: f64, covariance: &[f64]) -> Variances {
+        let sum = |products: &[f64]| products.iter().zip(covariance).map(|(p, c)| p * c).sum();
+        Variances {
+            speckle: sum(&self.moves),
+            shot: self.shot,
+            white: self.white,
+            light: sum(&self.lights),
+            pixel,
+        }
+    }
+}
+
+/// Adds half the sums of products of `values` so far apart, of both signs of the distance.
+fn add_products(sums: &mut Vec<f64>, values: &[f64]) {
+    sums.resize(sums.len().max(values.len()), 0.0);
+    for (lag, sum) in sums.iter_mut().enumerate().take(values.len()) {
+        let signs = if lag == 0 { 1.0 } else { 2.0 };
+        let pairs = values.iter().zip(&values[lag..]);
+        *sum += signs / 2.0 * pairs.map(|(a, b)| a * b).sum::<f64>();
+    }
+}
+
+impl Variances {
     fn add(&mut self, other: &Variances, share: f64) {
         self.speckle += share * other.speckle;
         self.shot += share * other.shot;

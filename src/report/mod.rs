@@ -7,6 +7,7 @@ pub mod color;
 pub mod formats;
 pub mod page;
 pub mod picture;
+pub mod ply;
 #[cfg(feature = "race")]
 pub mod race_plot;
 pub mod residual_picture;

@@ -97,7 +97,7 @@ impl Report {
         );
         html.push_str(
             "<p>Red: laser. Blue: the camera's field of view. Green: where it meets the laser \
-             plane. Dashed: the laser's way over the part.</p>",
+             plane. Dashed: the laser's path.</p>",
         );
         self.frame_section(&mut html);
         self.plan_table(&mut html);
@@ -164,12 +164,17 @@ impl Report {
     fn plan_table(&self, html: &mut String) {
         html.push_str(
             "<h2>What was modelled</h2>\
-             <table><tr><th>effect</th><th>modelled</th><th>how</th><th>why</th>\
-             <th>moves height by, µm</th><th>costs, ms a frame</th></tr>",
+             <table class=\"plan\"><tr><th>effect</th><th>modelled</th><th>how</th><th>why</th>",
         );
+        // Only a plan for a tolerance has these numbers.
+        let numbers = self.plan.iter().any(|row| row[4..] != ["", ""]);
+        if numbers {
+            html.push_str("<th>moves height by, µm</th><th>costs, ms a frame</th>");
+        }
+        html.push_str("</tr>");
         for row in &self.plan {
             html.push_str("<tr>");
-            for cell in row {
+            for cell in &row[..if numbers { 6 } else { 4 }] {
                 let _ = write!(html, "<td>{}</td>", escape(cell));
             }
             html.push_str("</tr>");

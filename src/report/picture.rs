@@ -88,13 +88,13 @@ pub struct PartPicture {
     pub height: f64,
 }
 
-/// The part in grey with coloured points on it, `width` pixels wide. Points
+/// The part in grey with coloured points on it, `size` pixels on its longer side. Points
 /// behind the surface are hidden.
 pub fn part_picture(
     accel: &Accel,
     points: impl IntoIterator<Item = (DVec3, [u8; 3])>,
     view: ParallelView,
-    width: usize,
+    size: usize,
 ) -> PartPicture {
     let bounds = accel.bounds();
     let into = view.right.cross(view.down);
@@ -102,8 +102,9 @@ pub fn part_picture(
     let (top, bottom) = extent(&bounds, view.down);
     let (near, far) = extent(&bounds, into);
     let margin = 0.04 * (right - left).max(bottom - top);
-    let scale = width as f64 / (right - left + 2.0 * margin);
-    let height = (((bottom - top + 2.0 * margin) * scale).ceil() as usize).clamp(1, 4 * width);
+    let sides = [right - left, bottom - top].map(|side| side + 2.0 * margin);
+    let scale = size as f64 / sides[0].max(sides[1]);
+    let [width, height] = sides.map(|side| (side * scale).round().max(1.0) as usize);
     let start = near - (far - near) * 0.1 - margin;
 
     let towards_light = (view.right * -0.4 + view.down * -0.5 - into).normalize();
@@ -155,5 +156,40 @@ pub fn part_picture(
         top: top - margin,
         width: width as f64 / scale,
         height: height as f64 / scale,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::Accel;
+    use crate::mesh::shapes;
+
+    /// Strips from 1/30 to 30 times as high as wide: all of them is in the picture, whose
+    /// longer side is what was asked for, and the place of a point is where it is drawn.
+    #[test]
+    fn a_part_of_any_shape_fits_its_picture() {
+        for (x, y) in [(1.0, 30.0), (2.0, 9.0), (5.0, 5.0), (30.0, 1.0)] {
+            let mesh = shapes::plane([x, y].into()).unwrap();
+            let accel = Accel::build(&mesh.into(), 1).unwrap();
+            let view = ParallelView {
+                right: DVec3::X,
+                down: -DVec3::Y,
+            };
+            let corner = DVec3::new(0.49 * x, -0.49 * y, 0.0);
+            let picture = part_picture(&accel, [(corner, [1, 2, 3])], view, 300);
+            let image = image::load_from_memory(&picture.png).unwrap().to_rgb8();
+            assert_eq!(image.width().max(image.height()), 300);
+            assert!(picture.left < -0.5 * x && picture.left + picture.width > 0.5 * x);
+            assert!(picture.top < -0.5 * y && picture.top + picture.height > 0.5 * y);
+            let drawn = image.enumerate_pixels().find(|(_, _, p)| p.0 == [1, 2, 3]);
+            let (i, j, _) = drawn.expect("the point is in the picture");
+            let scale = f64::from(image.width()) / picture.width;
+            let expected = [corner.x - picture.left, -corner.y - picture.top];
+            for (found, expected) in [i, j].into_iter().zip(expected) {
+                // The pixel it lies in.
+                assert!((f64::from(found) + 0.5 - expected * scale).abs() < 1.0);
+            }
+        }
     }
 }

@@ -30,13 +30,13 @@
     gl.bufferData(gl.ARRAY_BUFFER, content, gl.STATIC_DRAW);
     return b;
   };
-  const places = data.places.map((text) => {
-    const content = bytes(text);
-    return { buffer: buffer(content), count: content.length / 6 };
+  const places = data.places.map(({ at, size }) => {
+    const content = bytes(at);
+    return { buffer: buffer(content), count: content.length / 6, size };
   });
   const modes = data.modes.map((mode) => ({ ...mode, buffer: buffer(bytes(mode.colors)) }));
   modes.forEach((mode, i) => select.add(new Option(mode.name, i)));
-  // A unit is half the height: where the canvas is narrower than high, the part must fit its width.
+  // A unit is half the height: where the canvas is narrower than high, the points must fit its width.
   const fit = Math.min(1, canvas.clientWidth / canvas.clientHeight);
   let [yaw, pitch, zoom, panX, panY] = [data.yaw, data.pitch, 1.5 * fit, 0, 0];
   height.value = pitch;
@@ -51,13 +51,13 @@
     const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
     // Columns; z of the part is up, and depth grows away from the eye.
     gl.uniformMatrix3fv(uniform("turn"), false, [cy, sp * sy, cp * sy, -sy, sp * cy, cp * cy, 0, cp, -sp]);
-    gl.uniform3fv(uniform("size"), data.size);
     gl.uniform3f(uniform("pan"), panX, panY, 0);
     gl.uniform1f(uniform("zoom"), zoom);
     gl.uniform1f(uniform("aspect"), canvas.width / canvas.height);
     const mode = modes[select.value];
     gl.uniform1f(uniform("dot"), Math.max(1.5, 1.6 * ratio * Math.sqrt(zoom)) * (mode.places ? 1.6 : 1));
     const at = places[mode.places];
+    gl.uniform3fv(uniform("size"), at.size);
     const [p, c] = [gl.getAttribLocation(program, "p"), gl.getAttribLocation(program, "c")];
     gl.bindBuffer(gl.ARRAY_BUFFER, at.buffer);
     gl.enableVertexAttribArray(p);

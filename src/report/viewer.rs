@@ -20,7 +20,6 @@ pub struct Mode {
 }
 
 pub struct Viewer {
-    pub bounds: Aabb,
     /// Heading and height of the first look, rad: along part x·sin + y·cos of the
     /// heading, from above by the height.
     pub look: [f64; 2],
@@ -29,9 +28,7 @@ pub struct Viewer {
 
 impl Viewer {
     pub(crate) fn figure(&self, html: &mut String) {
-        let size = self.bounds.size().max(DVec3::splat(f64::MIN_POSITIVE));
-        let shown = size / size.max_element();
-        let places: Vec<String> = self.layers.iter().map(|l| self.packed(l)).collect();
+        let places: Vec<serde_json::Value> = self.layers.iter().map(Layer::packed).collect();
         let modes: Vec<serde_json::Value> = self
             .layers
             .iter()
@@ -47,7 +44,6 @@ impl Viewer {
             })
             .collect();
         let data = serde_json::json!({
-            "size": shown.to_array(),
             "yaw": self.look[0],
             "pitch": self.look[1],
             "places": places,
@@ -67,21 +63,24 @@ impl Viewer {
             include_str!("viewer.js")
         );
     }
+}
 
-    /// Positions as shares of the box, three little-endian u16 each.
-    fn packed(&self, layer: &Layer) -> String {
-        let size = self.bounds.size().max(DVec3::splat(f64::MIN_POSITIVE));
-        let bytes: Vec<u8> = layer
-            .positions
-            .iter()
-            .flat_map(|&p| {
-                let share = (p - self.bounds.min) / size * 65535.0;
-                // Casts saturate: what lies outside the box is drawn on it.
-                share.to_array().map(|x| (x.round() as u16).to_le_bytes())
-            })
-            .flatten()
+impl Layer {
+    /// Positions as shares of the box round them, three little-endian u16 each, and the
+    /// sides of the box as shares of the longest: what is looked at fills the view,
+    /// however small a piece of the part it is.
+    fn packed(&self) -> serde_json::Value {
+        let bounds = Aabb::of(self.positions.iter().copied());
+        let size = bounds.size().max(DVec3::splat(f64::MIN_POSITIVE));
+        let share = |&p: &DVec3| ((p - bounds.min) / size * 65535.0).to_array();
+        let shares = self.positions.iter().flat_map(share);
+        let bytes: Vec<u8> = shares
+            .flat_map(|x| (x.round() as u16).to_le_bytes())
             .collect();
-        base64(&bytes)
+        serde_json::json!({
+            "at": base64(&bytes),
+            "size": (size / size.max_element()).to_array(),
+        })
     }
 }
 
@@ -92,20 +91,25 @@ mod tests {
     #[test]
     fn positions_fill_the_box_and_text_cannot_end_the_script() {
         let viewer = Viewer {
-            bounds: Aabb::new(DVec3::ZERO, DVec3::new(2.0, 1.0, 0.0)),
             look: [0.0, 0.5],
             layers: vec![Layer {
-                positions: vec![DVec3::ZERO, DVec3::new(2.0, 0.5, 0.0)],
+                positions: vec![DVec3::ZERO, DVec3::new(2.0, 1.0, 0.0), DVec3::Y * 0.5],
                 modes: vec![Mode {
                     name: "m",
                     caption: "</script>".into(),
-                    colors: vec![[1, 2, 3], [4, 5, 6]],
+                    colors: vec![[1, 2, 3]; 3],
                 }],
             }],
         };
-        let packed = viewer.packed(&viewer.layers[0]);
-        let expected = [0, 0, 0, 0, 0, 0, 255, 255, 0, 128, 0, 0];
-        assert_eq!(packed, base64(&expected));
+        let packed = viewer.layers[0].packed();
+        let (full, half) = (u16::MAX, 1 << 15);
+        let expected = [[0; 3], [full, full, 0], [0, half, 0]];
+        let expected = expected.as_flattened().iter();
+        let expected: Vec<u8> = expected.flat_map(|x: &u16| x.to_le_bytes()).collect();
+        assert_eq!(packed["at"], base64(&expected));
+        let size: Vec<f64> = serde_json::from_value(packed["size"].clone()).unwrap();
+        assert_eq!(size[..2], [1.0, 0.5]);
+        assert!((0.0..1e-300).contains(&size[2]));
         let mut html = String::new();
         viewer.figure(&mut html);
         assert_eq!(html.matches("</script>").count(), 2);

@@ -3,6 +3,7 @@
 use super::forecast::{Forecast, forecast_of};
 use super::ready;
 use super::reason::Warning;
+use super::survey::MeasuringRange;
 use super::warnings::{Foreseen, foreseen};
 use super::{Control, Coverage};
 use crate::error::Result;
@@ -23,16 +24,6 @@ pub struct Checked {
     pub warnings: Vec<Warning>,
 }
 
-/// Where the camera sees the laser's light.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct MeasuringRange {
-    /// Least and greatest distance from the laser along the beam, mm.
-    pub near_mm: f64,
-    pub far_mm: f64,
-    /// Width in its middle, mm.
-    pub width_mm: f64,
-}
-
 /// Plans a scene and looks along the whole path of its scan for what will spoil it.
 ///
 /// # Errors
@@ -40,8 +31,9 @@ pub struct MeasuringRange {
 pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     let start = Instant::now();
     let simulation = ready::simulation(scene, Coverage::Footprint, control)?;
-    let forecast = forecast_of(&simulation, start.elapsed().as_secs_f64(), control)?;
     let frames = 0..scene.scan.frames;
+    let preparing = start.elapsed().as_secs_f64();
+    let forecast = forecast_of(&simulation, &frames, preparing, control)?;
     let images = !simulation.plan.geometry_only;
     let Foreseen { range, warnings } = foreseen(scene, &simulation.accel, frames, images);
     Ok(Checked {

@@ -2,31 +2,25 @@
 
 use super::Control;
 use super::frames::FrameContent;
+use super::need::{POSE, at_once, images};
 use super::pilot::spread_frames;
 use super::simulation::Simulation;
 use crate::error::Result;
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::HeadPose;
 use crate::mesh::memory;
 use crate::scene::Scene;
+use rayon::prelude::*;
 use serde::Serialize;
+use std::ops::Range;
 use std::time::Instant;
 
-/// Frames from which a forecast is made.
+/// Frames of those with light that are taken for a forecast.
 const FRAMES: u32 = 3;
-
-/// Bytes a pixel takes while its frame is in work: its count, and for a picture the
-/// counts row by row, these as bytes, and the file, which noise makes as large.
-const COUNT: u64 = 2;
-const PICTURE: u64 = 3 * 2;
-/// Bytes a pixel takes in `render`: the truth (36), twice while its parts are written
-/// (60), light, counts and picture.
-const RENDERED: u64 = 36 + 60 + 4 + COUNT + PICTURE;
+/// Frames of which it is asked how many of the sensor's columns may be lit.
+const FRAMES_ASKED: u32 = 256;
 
 /// Bytes of a point in the report: as read from the journal, and all in a row.
 const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
-/// Bytes of a frame in the report, whatever was measured in it.
-const POSE: u64 = size_of::<HeadPose>() as u64;
 /// Bytes of a point on disk: in `cloud.ply`, and at most in the journal.
 const POINT_ON_DISK: u64 = 67 + 92;
 /// Bytes of a frame in the journal beside its points.
@@ -58,90 +52,101 @@ impl Forecast {
     }
 }
 
-/// Foretells a scan from three frames spread over it, which are taken for that by a
+/// Foretells a scan of these frames from a few of them, which are taken for that by a
 /// simulation that took `preparing` seconds to make.
 pub(crate) fn forecast_of(
     simulation: &Simulation,
+    frames: &Range<u32>,
     preparing: f64,
     control: &Control,
 ) -> Result<Forecast> {
     let scene = &simulation.scene;
-    let taken = spread_frames(scene.scan.frames, FRAMES);
-    let start = Instant::now();
-    let (mut points, mut bytes) = (0, 0);
-    for &frame in &taken {
-        control.check()?;
-        let content = FrameContent::of(simulation, frame);
-        points += content.points.len() as u64;
-        bytes += content
-            .files
-            .iter()
-            .map(|file| file.len() as u64)
-            .sum::<u64>();
-    }
-    let share = scene.scan.frames as f64 / taken.len() as f64;
     let threads = rayon::current_num_threads();
-    let frames = scene.scan.frames as u64;
-    let points = points as f64 * share;
-    let files = bytes as f64 * share + points * POINT_ON_DISK as f64;
+    let count = frames.len() as u64;
+    let Taken {
+        seconds,
+        points,
+        bytes,
+    } = taken(simulation, frames, control)?;
+    let files = bytes + points * POINT_ON_DISK as f64;
     Ok(Forecast {
-        frames: scene.scan.frames,
+        frames: frames.len() as u32,
         threads,
         // One after the other.
-        memory_bytes: images(scene, at_once(frames))
-            .max(REPORTING + frames * POSE + points as u64 * POINT),
+        memory_bytes: images(scene, at_once(count)).max(report(count, points as u64)),
         memory_available_bytes: memory::available(),
-        disk_bytes: files as u64 + frames * RECORD + REPORT,
-        seconds: preparing + start.elapsed().as_secs_f64() * share / at_once(frames) as f64,
+        disk_bytes: files as u64 + count * RECORD + REPORT,
+        seconds: preparing + seconds / at_once(count) as f64,
     })
 }
 
-/// Frames that are in work at the same time.
-fn at_once(frames: u64) -> u64 {
-    frames.min(rayon::current_num_threads() as u64)
+/// What frames take together: seconds of one core, points, and bytes of their files.
+#[derive(Default)]
+struct Taken {
+    seconds: f64,
+    points: f64,
+    bytes: f64,
 }
 
-/// Bytes of so many images in work.
-fn images(scene: &Scene, count: u64) -> u64 {
-    let picture = if scene.write_frames { PICTURE } else { 0 };
-    count * pixels(scene) * (COUNT + picture)
+/// Estimated from few of the frames: points and bytes in proportion to the columns that
+/// may be lit, which are asked of many frames (the ratio estimate, Cochran 1977); seconds
+/// of frames with light and of dark ones each in proportion to their number.
+fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Result<Taken> {
+    let asked = spread_frames(frames.len() as u32, FRAMES_ASKED);
+    let share = frames.len() as f64 / asked.len() as f64;
+    let width = |i: u32| simulation.columns_at_most(frames.start + i);
+    let (lit, dark): (Vec<_>, Vec<_>) = asked
+        .into_par_iter()
+        .map(|i| (frames.start + i, width(i)))
+        .partition(|&(_, columns)| columns > 0);
+    let mut all = Taken::default();
+    for (kind, most) in [(lit, FRAMES), (dark, 1)] {
+        let (mut sample, mut columns) = (Taken::default(), 0);
+        let chosen = spread_frames(kind.len() as u32, most);
+        for &i in &chosen {
+            control.check()?;
+            let (frame, lit) = kind[i as usize];
+            let start = Instant::now();
+            let content = FrameContent::of(simulation, frame);
+            sample.seconds += start.elapsed().as_secs_f64();
+            sample.points += content.points.len() as f64;
+            sample.bytes += content.files.iter().map(Vec::len).sum::<usize>() as f64;
+            columns += lit;
+        }
+        let by_number = share * kind.len() as f64 / chosen.len().max(1) as f64;
+        let all_columns: usize = kind.iter().map(|(_, columns)| columns).sum();
+        let by_columns = match columns {
+            0 => by_number,
+            _ => share * all_columns as f64 / columns as f64,
+        };
+        all.seconds += by_number * sample.seconds;
+        all.points += by_columns * sample.points;
+        all.bytes += by_columns * sample.bytes;
+    }
+    Ok(all)
 }
 
-fn pixels(scene: &Scene) -> u64 {
-    let [columns, rows] = scene.camera.sensor.resolution.to_array();
-    u64::from(columns) * u64::from(rows)
+/// Bytes of a report of so many frames and points, while it is made.
+fn report(frames: u64, points: u64) -> u64 {
+    REPORTING + frames * POSE + points * POINT
 }
 
-fn sensor(scene: &Scene) -> String {
-    let [columns, rows] = scene.camera.sensor.resolution.to_array();
-    format!("of {columns} × {rows} pixels")
+/// Whether the report fits even if every column of every frame gives a point.
+pub(crate) fn any_report_fits(scene: &Scene, frames: u64) -> bool {
+    let columns = u64::from(scene.camera.sensor.resolution.x);
+    memory::available().is_none_or(|available| report(frames, frames * columns) <= available)
 }
 
-/// Refuses what cannot but run out of memory: `count` images of the scene in work.
-pub(crate) fn require_images(scene: &Scene, count: u64) -> Result<()> {
-    let work = format!("{count} images {} at once", sensor(scene));
-    memory::require(work, images(scene, count), memory::available())
-}
-
-/// The same of a whole scan: its images, if it takes any, and the poses of its report.
-pub(crate) fn require_scan(scene: &Scene, frames: u64, takes_images: bool) -> Result<()> {
-    let images = match takes_images {
-        true => images(scene, at_once(frames)),
-        false => 0,
-    };
+/// Refuses a scan of which as many points are foretold as do not fit.
+pub(crate) fn require_points(
+    simulation: &Simulation,
+    frames: &Range<u32>,
+    control: &Control,
+) -> Result<()> {
+    let points = taken(simulation, frames, control)?.points as u64;
+    let count = frames.len() as u64;
     let work = format!(
-        "a scan of {frames} frames, {} images {} at once and {POSE} bytes a frame in the report,",
-        at_once(frames),
-        sensor(scene)
+        "the report of a scan of {count} frames and about {points} points, {POINT} bytes each,"
     );
-    memory::require(work, images + frames * POSE, memory::available())
-}
-
-/// The same of a frame with its truth.
-pub(crate) fn require_render(scene: &Scene) -> Result<()> {
-    let work = format!(
-        "a frame {} with its truth, {RENDERED} bytes a pixel,",
-        sensor(scene)
-    );
-    memory::require(work, RENDERED * pixels(scene), memory::available())
+    memory::require(work, report(count, points), memory::available())
 }

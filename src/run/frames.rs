@@ -24,14 +24,7 @@ pub struct FrameContent {
 
 impl FrameContent {
     pub fn of(simulation: &Simulation, frame: u32) -> FrameContent {
-        let (counts, (peaks, points)) = match simulation.plan.geometry_only {
-            true => (None, simulation.geometric(frame)),
-            false => {
-                let counts = simulation.image(frame);
-                let measured = simulation.measure(frame, &counts);
-                (Some(counts), measured)
-            }
-        };
+        let (counts, peaks, points) = simulation.take(frame);
         let image = counts.filter(|_| simulation.scene.write_frames);
         let profile = [profile_csv(&peaks, &points)].into_iter();
         let is_blurred = |peak: &&Peak| {

@@ -1,13 +1,13 @@
 //! How far heights are from others of the same columns, and how surely that is known.
 
 use crate::math::DVec2;
-use crate::profile::{Calibration, Peak};
+use crate::profile::{Calibration, Flags, Peak};
 use serde::Serialize;
 
 /// Medians and percentiles, as single points at edges may be anywhere.
 #[derive(Debug, Clone, Serialize)]
 pub struct HeightErrors {
-    /// Columns in which one of the two has a sound line at least.
+    /// Columns in which one of the two at least has a line that is valid but perhaps for an edge.
     pub points: usize,
     /// Median, µm; positive: nearer to the laser.
     pub bias_um: f64,
@@ -45,7 +45,10 @@ impl HeightErrors {
             Some(jacobian.by_pixel[1].length() * 1e3 * sign)
         };
         let difference = |found: Option<&Peak>, truth: Option<&Peak>| {
-            let sound = |peak: Option<&Peak>| peak.is_some_and(|peak| peak.flags.is_sound());
+            // Whether an edge is near is for the whole frame and its neighbours to say.
+            let sound = |peak: Option<&Peak>| {
+                peak.is_some_and(|peak| peak.flags.difference(Flags::EDGE).is_sound())
+            };
             if !sound(found) && !sound(truth) {
                 return None;
             }

@@ -1,17 +1,18 @@
 //! From a frame's image, or from geometry alone, to points on the part.
 
-use super::simulation::Simulation;
+use super::simulation::{Pose, Simulation};
 use crate::camera::{Camera, Counts};
+use crate::error::Result;
 use crate::frame::LinePoint;
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::continuity::compare_frames;
+use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::profile::{
-    ErrorModel, Flags, Peak, PeakSettings, RowError, SpeckleGrain, compare_neighbours, find_peaks,
-};
+use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks, weigh};
 use crate::scene::Scene;
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Least share of a point's uncertainty that is across the surface, for that share to be all that
 /// moves the point off it: on a wall along which its errors run, which part of the light it catches
@@ -35,37 +36,59 @@ impl Simulation {
     /// Lines of an image and how far their rows may be off.
     pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
         let mut peaks = find_peaks(counts, &self.peak_settings());
-        let errors = self.errors.row_errors(&mut peaks, counts.columns());
+        let errors = self.errors.row_errors(&peaks, counts.columns());
+        weigh(&mut peaks, &errors);
         (peaks, errors)
     }
 
     /// The profile in an image and its points on the part.
     pub fn measure(&self, frame: u32, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
+        self.measure_at(&self.pose(frame), counts)
+    }
+
+    fn measure_at(&self, pose: &Pose, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks(counts);
-        let points = self.points(frame, &peaks, &errors);
+        let points = self.points(pose, &peaks, &errors);
         (peaks, points)
+    }
+
+    /// A frame from its pose to its points; no image where the plan takes geometry only.
+    pub fn take(&self, frame: u32) -> (Option<Counts>, Vec<Peak>, Vec<CloudPoint>) {
+        let pose = self.pose(frame);
+        if self.plan.geometry_only {
+            let (peaks, points) = self.geometric_at(&pose);
+            return (None, peaks, points);
+        }
+        let image = self.image_of(&pose);
+        let (peaks, points) = self.measure_at(&pose, &image);
+        (Some(image), peaks, points)
     }
 
     /// The profile that an ideal image would have, from laser rays and what the
     /// camera sees of them, and its points. The stated uncertainty is still that of
     /// the peaks of real images. Empty but where the plan takes geometry only.
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.geometric_peaks(frame);
-        let points = self.points(frame, &peaks, &errors);
+        self.geometric_at(&self.pose(frame))
+    }
+
+    fn geometric_at(&self, pose: &Pose) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, errors) = self.geometric_peaks(pose);
+        let points = self.points(pose, &peaks, &errors);
         (peaks, points)
     }
 
     /// Its peaks and how far their rows may be off.
-    pub(crate) fn geometric_peaks(&self, frame: u32) -> (Vec<Peak>, Vec<RowError>) {
+    pub(crate) fn geometric_peaks(&self, pose: &Pose) -> (Vec<Peak>, Vec<RowError>) {
         let Some(sheet) = &self.sheet else {
             return (Vec::new(), Vec::new());
         };
-        let line = sheet.profile(&self.view(frame));
+        let line = sheet.profile(&self.view_of(pose));
         let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
         compare_neighbours(&mut peaks, columns, settings.expected_sigma);
-        let errors = self.errors.row_errors(&mut peaks, columns);
+        let errors = self.errors.row_errors(&peaks, columns);
+        weigh(&mut peaks, &errors);
         (peaks, errors)
     }
 
@@ -94,8 +117,11 @@ impl Simulation {
     }
 
     /// Points of a frame's peaks, whose rows may be so far off.
-    fn points(&self, frame: u32, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
-        let part_from_head = self.scene.part_from_head(frame);
+    fn points(&self, pose: &Pose, peaks: &[Peak], errors: &[RowError]) -> Vec<CloudPoint> {
+        let &Pose {
+            frame,
+            part_from_head,
+        } = pose;
         let eye = part_from_head.point(self.calibration.head_from_camera.translation);
         let sheet = self.scene.head_from_laser.rotation.y_axis;
         let measured = peaks.iter().zip(errors);
@@ -195,6 +221,34 @@ impl Simulation {
         compare_frames(points, &scanned, &self.scene.laser);
     }
 
+    /// The same for a piece of the scan: `points` of all its frames get the flags they have in the
+    /// whole scan. `measured` takes one of the frames beside the piece that show the surface.
+    pub(crate) fn compare_piece(
+        &self,
+        piece: &Range<u32>,
+        points: &mut Vec<CloudPoint>,
+        measured: impl Fn(u32) -> Result<Vec<CloudPoint>> + Sync,
+    ) -> Result<()> {
+        let (scene, pose) = (&self.scene, |frame| self.head_pose(frame));
+        let beside = frames_beside(piece, scene.scan.frames, points, pose, &scene.laser);
+        if beside.is_empty() {
+            self.compare_frames(piece.clone(), points);
+            return Ok(());
+        }
+        let (before, after): (Vec<u32>, Vec<u32>) = beside.iter().partition(|&&f| f < piece.start);
+        let of = |frames: &[u32]| -> Result<Vec<CloudPoint>> {
+            let frames = frames.par_iter().map(|&frame| measured(frame));
+            Ok(frames.collect::<Result<Vec<_>>>()?.concat())
+        };
+        let (first, own) = (of(&before)?, points.len());
+        let mut all = [first, std::mem::take(points), of(&after)?].concat();
+        let frames = before.iter().copied().chain(piece.clone());
+        self.compare_frames(frames.chain(after.iter().copied()), &mut all);
+        let others = all.partition_point(|point| point.frame < piece.start);
+        *points = all.drain(others..others + own).collect();
+        Ok(())
+    }
+
     /// Where laser and camera are in a frame.
     pub(crate) fn head_pose(&self, frame: u32) -> HeadPose {
         let part_from_head = self.scene.part_from_head(frame);
@@ -225,18 +279,4 @@ fn outer(v: DVec3) -> DMat3 {
 
 fn trace(m: &DMat3) -> f64 {
     m.x_axis.x + m.y_axis.y + m.z_axis.z
-}
-
-/// What data sheets of the scene's laser and camera tell of the errors of peaks.
-pub(crate) fn error_model(scene: &Scene) -> ErrorModel {
-    let Camera { sensor, .. } = &scene.camera;
-    let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
-    let grain = scene.speckle.map(|model| SpeckleGrain {
-        rays: scene.camera.model().chief_rays(),
-        resolution: sensor.resolution,
-        size: scene.camera.speckle_angle(scene.laser.beam.wavelength),
-        contrast: model.coherence.contrast(),
-        aperture: model.aperture,
-    });
-    ErrorModel::new(scene.measure.finder, shot, grain)
 }

@@ -1,8 +1,8 @@
 //! Parts of a few frames, as the full model and as others have them: what a plan for a
 //! tolerance is chosen by.
 
+use super::error_model::error_model;
 use super::height_errors::HeightErrors;
-use super::measure::error_model;
 use super::simulation::Simulation;
 use crate::camera::Counts;
 use crate::error::Result;
@@ -169,7 +169,7 @@ impl Looked {
         let [with, without] = [speckle, none].map(|model| {
             let mut peaks = peaks.to_vec();
             peaks.iter_mut().for_each(|peak| peak.noise = 0.0);
-            model.row_errors(&mut peaks, scene.camera.sensor.resolution.x as usize)
+            model.row_errors(&peaks, scene.camera.sensor.resolution.x as usize)
         });
         let point = |(i, peak): (usize, &Peak)| {
             let place = DVec2::new(peak.column as f64 + 0.5, peak.row);
@@ -194,7 +194,7 @@ impl Strip {
     fn peaks(&self, simulation: &Simulation) -> Vec<Peak> {
         let first = self.columns.start as u32;
         if simulation.plan.geometry_only {
-            let mut peaks = simulation.geometric_peaks(self.frame).0;
+            let mut peaks = simulation.geometric_peaks(&simulation.pose(self.frame)).0;
             peaks.retain(|peak| self.columns.contains(&(peak.column as usize)));
             return peaks;
         }

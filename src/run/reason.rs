@@ -189,7 +189,7 @@ impl Reason {
             } => format!(
                 "falls on the part nearer to the laser than the measuring range, which is {} to \
                  {} mm from it along the beam: the part's top is {} mm above the near end. Move \
-                 sensor and part apart.",
+                 sensor and part apart: change part.position_mm or the path (scan).",
                 short(*near),
                 short(*far),
                 short(*by_mm)
@@ -201,7 +201,7 @@ impl Reason {
             } => format!(
                 "falls on the part beyond the measuring range, which is {} to {} mm from the \
                  laser along the beam: the part is up to {} mm below the far end. Move sensor and \
-                 part together.",
+                 part together: change part.position_mm or the path (scan).",
                 short(*near),
                 short(*far),
                 short(*by_mm)

@@ -1,7 +1,7 @@
 //! One frame with its truth, for looking at and for learning from.
 
 use super::ready;
-use super::{Control, Coverage, files, forecast};
+use super::{Control, Coverage, files, need};
 use crate::error::Result;
 use crate::frame::truth_layers;
 use crate::report::picture::encode_counts;
@@ -31,7 +31,7 @@ pub fn render(
     control: &Control,
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
-    forecast::require_render(scene)?;
+    need::require_render(scene)?;
     files::create_folder(out)?;
     let simulation = ready::simulation(scene, coverage, control)?;
     control.check()?;

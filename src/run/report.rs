@@ -4,11 +4,11 @@ mod frames;
 mod histograms;
 
 use super::Control;
-use super::scan::ScanSummary;
 use super::simulation::Simulation;
+use super::summary::ScanSummary;
 use crate::camera::Camera;
 use crate::error::Result;
-use crate::inspect::cloud::{CloudPoint, color_limit_um};
+use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
 use crate::laser::Laser;
@@ -19,14 +19,15 @@ use crate::report::color::{Rgb, diverging, sequential};
 use crate::report::page::of_fate;
 use crate::report::page::{ColorMap, Report};
 use crate::report::picture::{ParallelView, part_picture};
+use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
 use crate::report::viewer::{Layer, Mode, Viewer};
 
 /// Points and places in the viewer: what half a megabyte holds.
 const MOST_IN_VIEWER: usize = 60_000;
 
-/// Width of the pictures of the part, px.
-const PICTURE_WIDTH: usize = 900;
+/// Longer side of the pictures of the part, px.
+const PICTURE_SIZE: usize = 900;
 
 const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
@@ -99,8 +100,11 @@ impl Shown<'_> {
             1 => part,
             copies => format!("{copies} copies of {part}"),
         };
-        let [across, along] = [self.poses.first(), self.poses.last()]
-            .map(|pose| pose.map_or(DVec3::ZERO, |pose| pose.part_from_laser.translation));
+        let step = |pair: &[HeadPose]| {
+            let [from, to] = [pair[0], pair[1]].map(|pose| pose.part_from_laser.translation);
+            from.distance(to)
+        };
+        let way: f64 = self.poses.windows(2).map(step).sum();
         vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{part}; {x} × {y} × {z} mm")),
@@ -108,11 +112,7 @@ impl Shown<'_> {
             ("camera", camera(&scene.camera)),
             (
                 "frames",
-                format!(
-                    "{}, over {} mm",
-                    self.frames.len(),
-                    short((along - across).length())
-                ),
+                format!("{}, the laser moves {} mm", self.frames.len(), short(way)),
             ),
             (
                 "sensor columns with a point",
@@ -130,7 +130,7 @@ impl Shown<'_> {
                 },
             ),
             (
-                "height of 1 px",
+                "height per pixel",
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
             ("speckle size", plan.grain.to_string()),
@@ -204,7 +204,7 @@ impl Shown<'_> {
         let views = views.iter().map(|&(caption, view)| {
             let points = self.points.iter().filter(|p| shown(p));
             let points = points.map(|p| (p.position, color(p)));
-            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_WIDTH);
+            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_SIZE);
             (caption, picture.png)
         });
         ColorMap {
@@ -305,7 +305,6 @@ impl Shown<'_> {
                 }],
         }));
         Viewer {
-            bounds: self.simulation.accel.bounds(),
             look: [0.6, 0.6],
             layers,
         }

@@ -1,67 +1,33 @@
 //! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
 //! all, the manifest that says the run is complete.
 
-use super::frames::Run;
+use super::frames::{FrameContent, Run};
 use super::journal::{Journal, RunKey};
 use super::ready;
-use super::reason::Warning;
 use super::report::Shown;
 use super::simulation::Simulation;
+use super::summary::ScanSummary;
 use super::warnings::{self, Foreseen};
-use super::{Control, Coverage, files, forecast};
+use super::{Control, Coverage, files, forecast, need};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
-use crate::inspect::cloud::{self, CloudPoint};
-use crate::inspect::coverage::{HeadPose, Scanned, SurfaceCoverage, coverage};
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::coverage::{HeadPose, Scanned, coverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
-use crate::plan::accuracy::Accuracy;
 use crate::plan::rules::Plan;
 use crate::report::chart::short;
 use crate::report::formats::Format;
+use crate::report::ply;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant, SystemTime};
-
-/// `summary.json`.
-#[derive(Debug, Serialize)]
-pub struct ScanSummary {
-    pub scene: PathBuf,
-    pub frames: u32,
-    pub columns: u32,
-    /// Share of all columns of all frames in which a point was measured.
-    pub measured_share: f64,
-    pub points: usize,
-    /// Share of the points at which the lens's blur, which images do not have, is wider than
-    /// two standard deviations of their line; `null` if there is none.
-    pub blurred_share: Option<f64>,
-    /// Of valid points ([`CloudPoint::is_sound`]); `null` if there is none.
-    pub deviation: Option<DeviationStatistics>,
-    /// Of all points.
-    pub deviation_of_all: Option<DeviationStatistics>,
-    /// `null` if no point is free of flags.
-    pub uncertainty: Option<UncertaintyStatistics>,
-    /// Number of points with each flag.
-    pub flags: BTreeMap<&'static str, usize>,
-    /// `null` if the scene does not ask for it or too few points were measured.
-    pub alignment: Option<Alignment>,
-    /// What was planned for the scene's tolerance, if it states one.
-    pub accuracy: Option<Accuracy>,
-    pub coverage: Option<SurfaceCoverage>,
-    /// What spoils the scan; empty for a good one.
-    pub warnings: Vec<Warning>,
-    pub cloud: PathBuf,
-    pub report: PathBuf,
-    /// The frame shown in the report, if one was taken, and the cloud over the part.
-    pub pictures: Vec<PathBuf>,
-}
 
 /// `manifest.json`: what was run, with what, and how long it took.
 #[derive(Serialize)]
@@ -115,7 +81,7 @@ pub fn scan(
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
     check_geometry(scene, options)?;
-    forecast::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
+    need::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
     let key = RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         accel: scene.accel.version(),
@@ -125,13 +91,13 @@ pub fn scan(
         geometry_only: options.geometry_only,
     };
     refuse_worthless(scene, options, &frames, control)?;
+    if !forecast::any_report_fits(scene, frames.len() as u64) {
+        forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
+    }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept.is_empty())?;
-    let simulation = match options.geometry_only {
-        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?)?,
-        false => ready::simulation(scene, options.coverage, control)?,
-    };
+    let simulation = simulation_of(scene, options, control)?;
     let prepared = Instant::now();
 
     let run = Run {
@@ -170,6 +136,13 @@ pub fn scan(
     files::write_json(&out.join("manifest.json"), &manifest)?;
     warnings::refuse(&summary.warnings, options.strict)?;
     Ok(summary)
+}
+
+fn simulation_of(scene: &Scene, options: &ScanOptions, control: &Control) -> Result<Simulation> {
+    match options.geometry_only {
+        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?),
+        false => ready::simulation(scene, options.coverage, control),
+    }
 }
 
 /// Refuses, if the scan is strict, one that will give nothing worth having, while what
@@ -240,7 +213,10 @@ fn finish(
 ) -> Result<ScanSummary> {
     let scene = &simulation.scene;
     let (mut points, blurred_share) = points_of(journal)?;
-    simulation.compare_frames(frames.clone(), &mut points);
+    simulation.compare_piece(frames, &mut points, |frame| {
+        control.check()?;
+        Ok(FrameContent::of(simulation, frame).points)
+    })?;
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
@@ -263,7 +239,7 @@ fn finish(
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
-    files::write(&summary.cloud, |file| cloud::write_ply(file, &points))?;
+    files::write(&summary.cloud, |file| ply::write_ply(file, &points))?;
     for format in &options.also {
         control.check()?;
         let bytes = format.bytes(&points).map_err(Error::io("write", out))?;

@@ -3,12 +3,11 @@
 
 use super::surface_view::{in_camera, lit_normal, surface_view};
 use crate::accel::Accel;
-use crate::camera::CameraModel;
 use crate::error::Result;
 use crate::frame::{Patterns, Reference, Speckle, Strips};
 use crate::math::Aperture;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::plan::rules::SpeckleStep;
+use crate::plan::rules::{CORRELATED, SpeckleStep};
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
 use crate::speckle::coordinate::GrainMap;
@@ -244,54 +243,81 @@ fn anchor(scene: &Scene, strips: bool, normal: Option<DVec3>) -> Anchor {
     )))
 }
 
-/// What a step of the scan does to speckle; `field` whether the method reads fields,
-/// which alone have strips.
-pub fn step_of_speckle(scene: &Scene, field: bool) -> SpeckleStep {
+/// What the scan does to speckle from one frame to others ever further from it, as far as
+/// their patterns are correlated; `field`: whether the method reads fields, which alone have
+/// strips. Frames apart grow by an eighth, between which a correlation changes little.
+pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
     let anchor = anchor(scene, true, None);
-    let poses = [0.0, 1.0].map(|place| scene.part_from_head_at(place));
-    let [from, to] = [0, 1].map(|i| anchor.coordinate(i as f64, &poses[i]));
-    let delta = (to.pupil.shift - from.pupil.shift).length();
-    let phase = to.pupil.defocus - from.pupil.defocus;
+    let limited = anchor.references(scene, 0.0, &scene.part_from_head(0), 1.0);
+    if !field || limited.is_none() {
+        return Vec::new();
+    }
+    let frames = scene.scan.frames;
+    // Only a path of poses goes otherwise from one place to the next.
+    let starts = match scene.scan.motion {
+        Motion::Poses { .. } => [0, 1, 2, 3]
+            .map(|quarter| frames as u64 * quarter / 4)
+            .to_vec(),
+        _ => vec![0],
+    };
+    let mut steps = Vec::new();
+    for from in starts {
+        let mut apart = 1;
+        // A path of one frame is judged by the way on from it.
+        while apart == 1 || from + apart < frames as u64 {
+            let step = step_of_speckle(scene, &anchor, from as f64, apart as u32);
+            if step.gamma <= CORRELATED {
+                break;
+            }
+            steps.push(step);
+            apart += (apart / 8).max(1);
+        }
+    }
+    steps
+}
+
+/// What the way from the place `from` to that so many `frames` on does to speckle.
+fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: u32) -> SpeckleStep {
+    let places = [from, from + frames as f64];
+    let poses = places.map(|place| scene.part_from_head_at(place));
+    let [now, then] = [0, 1].map(|i| anchor.coordinate(places[i], &poses[i]));
+    let delta = (then.pupil.shift - now.pupil.shift).length();
+    let phase = then.pupil.defocus - now.pupil.defocus;
     let lens = &scene.camera.lens;
-    let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    let wavelength = scene.laser.beam.wavelength;
+    let grain = scene.camera.speckle_size(wavelength);
     // −m·b and −A_p/D.
-    let shift = lens.magnification() * lens.pupil_diameter() * (to.pupil.shift - from.pupil.shift);
-    let slip = (to.sensor - from.sensor - shift).length();
-    let limited = |_: &f64| field && anchor.references(scene, 0.0, &poses[0], 1.0).is_some();
+    let shift = lens.magnification() * lens.pupil_diameter() * (then.pupil.shift - now.pupil.shift);
+    let slip = (then.sensor - now.sensor - shift).length();
     let point = surface_view(scene, None).point;
     let way = poses[0]
         .inverse()
         .vector(poses[1].point(point) - poses[0].point(point));
     SpeckleStep {
+        frames,
         across_sheet: way.dot(scene.head_from_laser.rotation.y_axis),
         gamma: overlap_correlation_defocused(delta, phase),
-        slip_grains: Some(slip / grain).filter(limited),
-        turn_grains: match scene.scan.turns() {
-            true => spread(scene, point, &poses) / grain,
-            false => 0.0,
-        },
+        slip_grains: slip / grain,
+        spread_grains: spread(scene, point, &poses) / scene.camera.speckle_angle(wavelength),
     }
 }
 
-/// How far (mm on the sensor) what the corners see, as far from the lens as `point` (head's
-/// frame), moves otherwise between two poses than `point` does.
+/// How far (direction cosines) what the corners see, as far from the lens as `point` (head's
+/// frame), moves otherwise between two poses than `point` does: where the part turns, and off
+/// the axis, where the cosines of a point that moves by a change by (I − n·nᵀ)·a/L_o.
 fn spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
     let camera = &scene.camera;
     let head_from_camera = scene.head_from_camera;
     let [now, then] = poses.map(|part_from_head| part_from_head * head_from_camera);
     let then_from_now = then.inverse() * now;
-    let model = CameraModel {
-        distortion: None,
-        ..camera.model()
-    };
     let point = head_from_camera.inverse().point(point);
-    let moved = |p: DVec3| Some(model.project(then_from_now.point(p))? - model.project(p)?);
+    let cosines = |p: DVec3| p.normalize_or_zero().truncate();
+    let moved = |p: DVec3| cosines(then_from_now.point(p)) - cosines(p);
     let size = camera.sensor.resolution.as_dvec2();
     let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
-    let ways = corners.into_iter().filter_map(|corner| {
+    let ways = corners.map(|corner| {
         let behind = camera.sensor_point(corner);
-        let there = moved(behind * (point.z / behind.z))?;
-        Some((there - moved(point)?).length() * camera.sensor.pixel_pitch)
+        (moved(behind * (point.z / behind.z)) - moved(point)).length()
     });
-    ways.fold(0.0, f64::max)
+    ways.into_iter().fold(0.0, f64::max)
 }

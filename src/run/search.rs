@@ -1,8 +1,8 @@
 //! The cheapest plan that keeps a tolerance in the frames looked at.
 
 use super::height_errors::HeightErrors;
+use super::methods::{full, named};
 use super::pilot::Looked;
-use super::planner::{full, named};
 use super::simulation::Simulation;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;
@@ -38,17 +38,22 @@ struct Goal {
     planned_um: f64,
     /// Share of the scan that was not looked at.
     left: f64,
-    /// The points looked at are too few to be sure of any plan: what is estimated counts.
-    by_estimate: bool,
+}
+
+/// By what a plan is judged to be good enough.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Judged {
+    /// At most one point of a hundred is beyond, at 95 % confidence.
+    Surely,
+    /// Where too few points were looked at to say so of any plan: half as many of these are.
+    ByEstimate,
 }
 
 impl Goal {
-    /// Whether at most one point of a hundred is beyond, at 95 % confidence; or where so few
-    /// points cannot say so of any plan, half as many of those looked at.
-    fn is_kept(&self, errors: &HeightErrors) -> bool {
-        match self.by_estimate {
-            true => errors.share_beyond(self.planned_um) <= UNSURE,
-            false => errors.share_at_most(self.planned_um, self.left) <= PROMISED_SHARE,
+    fn is_kept(&self, errors: &HeightErrors, judged: Judged) -> bool {
+        match judged {
+            Judged::Surely => errors.share_at_most(self.planned_um, self.left) <= PROMISED_SHARE,
+            Judged::ByEstimate => errors.share_beyond(self.planned_um) <= UNSURE,
         }
     }
 }
@@ -102,14 +107,9 @@ fn among(
     images: Vec<Plan>,
     tolerance_um: f64,
 ) -> Result<Choice> {
-    let more = |best: &Plan, plan: &Plan| no_finer(best, plan);
-    let finest = images.iter().skip(1).fold(
-        &images[0],
-        |best, plan| {
-            if more(best, plan) { plan } else { best }
-        },
-    );
-    let finest = finest.clone();
+    let finer = |best: Plan, plan: Plan| if no_finer(&best, &plan) { plan } else { best };
+    let finest = images.iter().cloned().reduce(finer);
+    let finest = finest.expect("there is a plan with an image");
     let mut radii: Vec<f64> = images.iter().map(|plan| plan.cutoff_radii).collect();
     radii.sort_by(f64::total_cmp);
     radii.dedup();
@@ -126,8 +126,7 @@ fn among(
         // Of all points rather than of those at edges, which speckle may throw anywhere.
         scatter = SHARE_OF_LIMIT * SIGMAS_OF_99 * errors.noise_um;
     }
-    let mut goal = Goal {
-        by_estimate: false,
+    let goal = Goal {
         planned_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
@@ -136,7 +135,11 @@ fn among(
     let (plan, sufficient) = match best.points {
         // Nothing speaks for leaving anything out.
         0 => (named(scene, base.clone()), false),
-        _ => cheapest(&mut looked, &pilot, &mut goal, &finest, images, geometry)?,
+        _ => {
+            let cost = |plan: &Plan| pilot.cost_ms(plan);
+            let is_kept = |plan: &Plan, judged| Ok(goal.is_kept(&looked.errors(plan)?, judged));
+            cheapest(&finest, images, geometry, &cost, is_kept)?
+        }
     };
     let errors = looked.errors(&plan)?;
     let mut accuracy = Accuracy {
@@ -164,47 +167,51 @@ fn among(
     })
 }
 
-/// The cheapest that keeps the goal, else the finest; and whether it surely does. What is no finer
-/// in anything than a plan that fails is not tried.
+/// The cheapest plan that `is_kept` takes, else the finest; and whether it surely does. Geometry
+/// alone, far cheaper than any image, is asked first if it may be taken. What is
+/// no finer in anything than a plan that fails is not asked.
 fn cheapest(
-    looked: &mut Looked,
-    pilot: &Pilot,
-    goal: &mut Goal,
     finest: &Plan,
     mut images: Vec<Plan>,
     geometry: bool,
+    cost: &impl Fn(&Plan) -> f64,
+    mut is_kept: impl FnMut(&Plan, Judged) -> Result<bool>,
 ) -> Result<(Plan, bool)> {
     if finest.geometry_only || geometry {
         let plan = geometry_only(finest.clone());
-        if goal.is_kept(&looked.errors(&plan)?) {
+        if is_kept(&plan, Judged::Surely)? {
             return Ok((plan, true));
         }
     }
-    let errors = looked.errors(finest)?;
-    let sure = goal.is_kept(&errors);
-    goal.by_estimate = !sure;
-    if finest.geometry_only || !goal.is_kept(&errors) {
+    if finest.geometry_only {
         return Ok((finest.clone(), false));
     }
+    let judged = match is_kept(finest, Judged::Surely)? {
+        true => Judged::Surely,
+        false if is_kept(finest, Judged::ByEstimate)? => Judged::ByEstimate,
+        false => return Ok((finest.clone(), false)),
+    };
+    let sure = judged == Judged::Surely;
+    let mut is_kept = |plan: &Plan| is_kept(plan, judged);
     // What planes do well need not be traced to learn what else does.
     let planes = Plan {
         sampling: Sampling::Planes,
         ..finest.clone()
     };
     let flat = images.iter().any(|plan| plan.sampling == planes.sampling);
-    let basis = match flat && goal.is_kept(&looked.errors(&planes)?) {
+    let basis = match flat && is_kept(&planes)? {
         true => &planes,
         false => finest,
     };
     let mut failed: Vec<Plan> = Vec::new();
-    images.sort_by(|a, b| pilot.cost_ms(a).total_cmp(&pilot.cost_ms(b)));
+    images.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     let hopeless = |plan: &Plan, failed: &[Plan]| failed.iter().any(|f| no_finer(plan, f));
     // One method after the other made coarser, all else being the finest, by bisection.
     for axis in axes(basis, &images) {
         let (mut low, mut high) = (0, axis.len());
         while low < high {
             let middle = (low + high) / 2;
-            match goal.is_kept(&looked.errors(&axis[middle])?) {
+            match is_kept(&axis[middle])? {
                 true => high = middle,
                 false => low = middle + 1,
             }
@@ -215,7 +222,7 @@ fn cheapest(
         if hopeless(&plan, &failed) {
             continue;
         }
-        if goal.is_kept(&looked.errors(&plan)?) {
+        if is_kept(&plan)? {
             return Ok((plan, sure));
         }
         failed.push(plan);
@@ -263,3 +270,7 @@ impl Choice {
         Ok(self.looked.errors(&plan)?.within_um)
     }
 }
+
+#[cfg(test)]
+#[path = "search_tests.rs"]
+mod tests;

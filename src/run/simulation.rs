@@ -1,9 +1,9 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
-use super::forecast;
-use super::measure::error_model;
-use super::scan_speckle::{ScanSpeckle, step_of_speckle};
+use super::error_model::error_model;
+use super::need;
+use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
@@ -19,6 +19,13 @@ use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::ops::Range;
 use std::sync::Arc;
+
+/// A frame and where the head is in the middle of it: computed once, and handed on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pose {
+    pub frame: u32,
+    pub part_from_head: Rigid,
+}
 
 pub struct Simulation {
     pub scene: Scene,
@@ -48,7 +55,7 @@ impl Simulation {
     /// One that does what `plan` says.
     pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
         if !plan.geometry_only {
-            forecast::require_images(scene, 1)?;
+            need::require_images(scene, 1)?;
         }
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
@@ -112,14 +119,25 @@ impl Simulation {
         self.speckle.as_ref().map_or(0, |speckle| speckle.memory())
     }
 
-    pub fn view(&self, frame: u32) -> View<'_> {
-        self.view_at(frame as f64)
+    /// Where the head is in the middle of a frame.
+    pub(crate) fn pose(&self, frame: u32) -> Pose {
+        Pose {
+            frame,
+            part_from_head: self.scene.part_from_head(frame),
+        }
     }
 
-    /// The view at a place on the path, a frame number or between two.
-    fn view_at(&self, place: f64) -> View<'_> {
+    pub fn view(&self, frame: u32) -> View<'_> {
+        self.view_of(&self.pose(frame))
+    }
+
+    pub(crate) fn view_of(&self, pose: &Pose) -> View<'_> {
+        self.view_at(pose.frame as f64, pose.part_from_head)
+    }
+
+    /// The view at a place on the path, a frame number or between two, where the head is there.
+    fn view_at(&self, place: f64, part_from_head: Rigid) -> View<'_> {
         let scene = &self.scene;
-        let part_from_head = scene.part_from_head_at(place);
         View {
             accel: &self.accel,
             surface: scene.surface,
@@ -138,9 +156,12 @@ impl Simulation {
     }
 
     /// The views of one exposure.
-    fn views(&self, frame: u32) -> impl Iterator<Item = View<'_>> {
-        let places = self.scene.scan.exposure_places(frame);
-        places.map(|place| self.view_at(place))
+    fn views(&self, &pose: &Pose) -> impl Iterator<Item = View<'_>> + use<'_> {
+        let places = self.scene.scan.exposure_places(pose.frame);
+        places.map(move |place| match place == pose.frame as f64 {
+            true => self.view_of(&pose),
+            false => self.view_at(place, self.scene.part_from_head_at(place)),
+        })
     }
 
     /// Where light is sought: in what may see lit surface, or everywhere.
@@ -166,17 +187,25 @@ impl Simulation {
         frame::footprint(&self.view(frame), &Region::Lit(clusters)).span()
     }
 
+    /// How many columns may be lit in a frame: all of them if every sample is traced.
+    pub(crate) fn columns_at_most(&self, frame: u32) -> usize {
+        match &self.clusters {
+            Some(_) => self.lit_columns(frame).map_or(0, |columns| columns.len()),
+            None => self.scene.camera.sensor.resolution.x as usize,
+        }
+    }
+
     fn mean(&self, frame: u32, region: &Region) -> Irradiance {
-        let images = self
-            .views(frame)
-            .map(|view| frame::irradiance(&view, region));
+        let pose = self.pose(frame);
+        let images = self.views(&pose);
+        let images = images.map(|view| frame::irradiance(&view, region));
         Irradiance::mean(images.collect())
     }
 
     /// The lines of a frame, from its image or, if the plan takes none, from geometry.
     pub(crate) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
         match self.plan.geometry_only {
-            true => self.geometric_peaks(frame).0,
+            true => self.geometric_peaks(&self.pose(frame)).0,
             false => self.peaks(&self.image(frame)).0,
         }
     }
@@ -192,8 +221,12 @@ impl Simulation {
 
     /// The image that the sensor takes.
     pub fn image(&self, frame: u32) -> Counts {
-        let (region, key) = (self.region(), self.noise(frame));
-        frame::take(self.views(frame), &region, &self.readout, key)
+        self.image_of(&self.pose(frame))
+    }
+
+    pub(crate) fn image_of(&self, pose: &Pose) -> Counts {
+        let (region, key) = (self.region(), self.noise(pose.frame));
+        frame::take(self.views(pose), &region, &self.readout, key)
     }
 }
 
@@ -246,7 +279,7 @@ pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
             method: s.method,
             aperture: s.aperture,
             contrast: s.coherence.contrast(),
-            step: step_of_speckle(scene, s.method == Method::Field),
+            steps: steps_of_speckle(scene, s.method == Method::Field),
         }),
     )
 }

@@ -1,7 +1,6 @@
 //! What becomes of the laser's light along the path of a scan: rays in the middle of the
 //! light are followed to the part and from there to the camera.
 
-use super::check::MeasuringRange;
 use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::laser::FanProfile;
@@ -9,8 +8,19 @@ use crate::math::{Aabb, DVec2, DVec3, Rigid};
 use crate::profile::least_height;
 use crate::scene::Scene;
 use rayon::prelude::*;
+use serde::Serialize;
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 use std::ops::Range;
+
+/// Where the camera sees the laser's light.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct MeasuringRange {
+    /// Least and greatest distance from the laser along the beam, mm.
+    pub near_mm: f64,
+    pub far_mm: f64,
+    /// Width in its middle, mm.
+    pub width_mm: f64,
+}
 
 /// Rays of a line laser, evenly spread over its fan.
 const RAYS: usize = 129;

@@ -1,9 +1,8 @@
 //! Why a scan gives nothing, or nothing worth having: the same words before it, from the
 //! geometry of the scene, and after it, from what the frames gave.
 
-use super::check::MeasuringRange;
 use super::reason::{Reason, Warning};
-use super::survey::{Fate, Miss, Survey, least_counts};
+use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
@@ -54,7 +53,8 @@ pub(crate) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) 
         true => None,
         false if points.is_empty() => Some(Reason::NothingMeasured { frames }),
         false => {
-            let flags = count_flags(points).into_iter();
+            // Of several that all have, the first, which says why the others are there.
+            let flags = count_flags(points).into_iter().rev();
             flags
                 .max_by_key(|flag| flag.points)
                 .map(|flag| Reason::EveryPointDoubtful {

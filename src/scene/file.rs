@@ -377,8 +377,8 @@ pub struct PlanTable {
     pub geometry_only: Option<bool>,
     /// Whether speckle is modelled if the scene has it.
     pub speckle: Option<bool>,
-    /// Whether the pattern slips on surfaces out of focus; takes speckle by field and a
-    /// path that does not turn.
+    /// Whether the pattern moves with each place of the surface, which slips out of focus
+    /// and turns, or with the middle of the view; takes speckle by field.
     pub speckle_slips: Option<bool>,
     /// Whether the sensor's noise is modelled if the scene has it.
     pub noise: Option<bool>,

@@ -37,13 +37,18 @@ impl Source {
         let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
         if !kind.is_file() {
             // A pipe may never end.
-            let found = "something that is not a regular file";
+            let found = match kind.is_dir() {
+                true => "a folder",
+                false => "something that is not a regular file",
+            };
             return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
         }
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
-            InputError::new(path, place, "bytes that are not UTF-8", "TOML text")
+            let expected = "a scene as TOML text; a mesh is named in a scene, \
+                            [part] mesh = { file = \"part.stl\", unit = \"mm\" }";
+            InputError::new(path, place, "bytes that are not UTF-8", expected)
         })?;
         Source::parse(path, text)
     }
@@ -231,7 +236,11 @@ impl Source {
                 expected.replace("an array of length", "a list of"),
             ),
             (_, "f64") => (written.into(), "a number".into()),
-            (_, "u32" | "u64") => (written.into(), "a whole number, not negative".into()),
+            (_, "u32") => (
+                written.into(),
+                format!("a whole number from 0 to {}", u32::MAX),
+            ),
+            (_, "u64") => (written.into(), "a whole number, not negative".into()),
             (_, "a boolean") => (written.into(), "true or false".into()),
             (_, "a string") => (written.into(), "text in quotation marks".into()),
             (_, "a sequence") => (written.into(), "a list such as [1, 2]".into()),

@@ -15,12 +15,12 @@ impl Resolver<'_> {
     }
 
     /// `images`: the scene asks for files of frames; `line`: its laser has a fan;
-    /// `slips`: patterns may slip.
+    /// `by_field`: speckle is read by field.
     pub(super) fn methods(
         &self,
         table: &PlanTable,
         (images, line): (bool, bool),
-        slips: bool,
+        by_field: bool,
     ) -> Result<PlanTable> {
         let samples = table.samples_per_side.unwrap_or(1);
         self.check(
@@ -35,9 +35,9 @@ impl Resolver<'_> {
             "a number from 1 to 4",
         )?;
         self.check(
-            slips || table.speckle_slips != Some(true),
+            by_field || table.speckle_slips != Some(true),
             "plan.speckle_slips",
-            "false: it takes speckle by field and a path that does not turn",
+            "false: it takes speckle by field",
         )?;
         if table.geometry_only == Some(true) {
             self.check(

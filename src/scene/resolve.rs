@@ -172,7 +172,7 @@ impl Resolver<'_> {
         let methods = self.methods(
             &file.plan,
             (file.write_frames, laser.fan.is_some()),
-            by_field && !scan.turns(),
+            by_field,
         )?;
         let mut hash = Sha256::new();
         hash.update(self.source.text());

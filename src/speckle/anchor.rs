@@ -184,8 +184,8 @@ pub fn rotation_vector(rotation: &DMat3) -> DVec3 {
 
 #[cfg(test)]
 mod tests {
-    use super::motion::Source;
     use super::*;
+    use crate::speckle::motion::Source;
 
     const D: f64 = 8.0;
 

@@ -9,6 +9,7 @@
 //! [`crate::wave`] is the slow reference that all of it is measured against.
 
 pub mod anchor;
+pub mod column_covariance;
 pub mod coordinate;
 mod estimate;
 mod fixed;

@@ -209,9 +209,9 @@ fn at_least(step: DVec2, else_along: DVec2, least: f64) -> DVec2 {
 
 #[cfg(test)]
 mod tests {
-    use super::motion::{Motion, Source, speckle_shift};
     use super::*;
     use crate::math::DMat3;
+    use crate::speckle::motion::{Motion, Source, speckle_shift};
 
     /// A cylinder's top under a laser, watched obliquely; in focus.
     fn view() -> SurfaceView {

@@ -74,14 +74,8 @@ pub fn pixel_covariance(aperture: Aperture, grains: DMat2, lag: DVec2) -> f64 {
 /// with their number, which is 2 % of it off for whole pixels.
 pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2) -> f64 {
     let across = [grains.x_axis.length(), grains.y_axis.length() * high];
-    let share = (16.0 / across[0].max(across[1])).min(1.0);
-    let both_sides = |grains: f64| {
-        let nodes = panels((2.0 * share * grains).ceil().max(1.0) as usize);
-        let sides = nodes.into_iter().flat_map(|(x, w)| [(x, w), (-x, w)]);
-        let triangle = sides.map(|(x, w)| (x, w * (1.0 - x.abs())));
-        triangle.collect::<Vec<_>>()
-    };
-    let [columns, rows] = across.map(both_sides);
+    let share = most_grains(across);
+    let [columns, rows] = across.map(|grains| triangle(share * grains));
     let of_row = |&(y, wy): &(f64, f64)| {
         let row = columns.iter().map(|&(x, wx)| {
             let place = DVec2::new(x, high * y) + lag;
@@ -91,6 +85,18 @@ pub fn strip_covariance(aperture: Aperture, grains: DMat2, high: f64, lag: DVec2
         wy * row.sum::<f64>()
     };
     rows.iter().map(of_row).sum::<f64>() * share * share
+}
+
+/// Share of a pixel of so many grains along each side that stands for all of it.
+pub(super) fn most_grains(across: [f64; 2]) -> f64 {
+    (16.0 / across[0].max(across[1])).min(1.0)
+}
+
+/// Nodes and weights on [−1, 1] for ∫Λ(x)·f(x) dx over a side of so many grains.
+pub(super) fn triangle(grains: f64) -> Vec<(f64, f64)> {
+    let nodes = panels((2.0 * grains).ceil().max(1.0) as usize);
+    let sides = nodes.into_iter().flat_map(|(x, w)| [(x, w), (-x, w)]);
+    sides.map(|(x, w)| (x, w * (1.0 - x.abs()))).collect()
 }
 
 /// Contrast of the mean of n × n point samples, at the nodes of Gauss–Legendre

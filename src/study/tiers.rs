@@ -7,9 +7,10 @@ use crate::frame::Sampling;
 use crate::plan::Plan;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::words::words;
-use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
+use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks, weigh};
 use crate::run::Coverage;
-use crate::run::planner::{full, scene_plan_with};
+use crate::run::methods::full;
+use crate::run::planner::scene_plan_with;
 use crate::run::simulation::Simulation;
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
@@ -38,7 +39,9 @@ impl Tier {
     pub fn frame(&self, frame: u32) -> TierFrame {
         if self.simulation.plan.geometry_only {
             return TierFrame {
-                peaks: self.simulation.geometric_peaks(frame).0,
+                peaks: (self.simulation)
+                    .geometric_peaks(&self.simulation.pose(frame))
+                    .0,
                 pixels: 0,
             };
         }
@@ -49,8 +52,8 @@ impl Tier {
             ..self.simulation.peak_settings()
         };
         let mut peaks = find_peaks(&counts, &settings);
-        // Takes back the flags of those whose uncertainty is stated for what they warn of.
-        (self.simulation.errors).row_errors(&mut peaks, counts.columns());
+        let errors = (self.simulation.errors).row_errors(&peaks, counts.columns());
+        weigh(&mut peaks, &errors);
         TierFrame {
             peaks,
             pixels: irradiance.looked_at(),

@@ -249,9 +249,9 @@ fn peak_offset(values: &[f64; LAGS]) -> Option<DVec2> {
 
 #[cfg(test)]
 mod tests {
-    use super::image::{ImageGrid, Pupil, PupilField, intensity_at_focus};
     use super::*;
     use crate::math::DVec3;
+    use crate::wave::image::{ImageGrid, Pupil, PupilField, intensity_at_focus};
 
     /// A pupil field of independent circular Gaussian samples.
     fn random_field(key: Key) -> PupilField {

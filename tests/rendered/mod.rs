@@ -22,6 +22,23 @@ pub enum Step {
     },
 }
 
+impl Step {
+    pub fn times(self, times: f64) -> Step {
+        match self {
+            Step::Way(way) => Step::Way(way * times),
+            Step::Turn {
+                point,
+                axis,
+                degrees,
+            } => Step::Turn {
+                point,
+                axis,
+                degrees: degrees * times,
+            },
+        }
+    }
+}
+
 /// A plane through the origin, lit from a point and seen by a camera that looks at the
 /// origin.
 #[derive(Debug, Clone, Copy)]
@@ -35,7 +52,11 @@ pub struct Geometry {
     pub focal_length: f64,
     pub f_number: f64,
     pub focus: f64,
+    /// From the first to the last frame.
     pub step: Step,
+    /// Frames after the first in which the part goes so far; by more than one the scene
+    /// leaves it to the plan whether patterns slip.
+    pub frames_apart: u32,
     pub resolution: [i64; 2],
 }
 
@@ -57,36 +78,47 @@ impl Geometry {
         Rigid::from_euler_xyz(angles, DVec3::ZERO).vector(DVec3::Z)
     }
 
-    pub fn scene(&self, speckle: bool) -> Scene {
+    /// The part's way, as keys of the scene.
+    fn scan(&self) -> String {
         let vector = |v: DVec3| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
-        let scan = match self.step {
-            Step::Way(way) => format!("direction = {}\nstep_mm = {:?}", vector(way), way.length()),
+        let each = 1.0 / self.frames_apart as f64;
+        match self.step {
+            Step::Way(way) => {
+                let length = way.length() * each;
+                format!("direction = {}\nstep_mm = {length:?}", vector(way))
+            }
             Step::Turn {
                 point,
                 axis,
                 degrees,
             } => format!(
-                "rotary = {{ axis_point_mm = {}, axis_direction = {}, step_deg = {degrees:?} }}",
+                "rotary = {{ axis_point_mm = {}, axis_direction = {}, step_deg = {:?} }}",
                 vector(point),
-                vector(axis)
+                vector(axis),
+                degrees * each
             ),
-        };
-        // Named, as the plan leaves out what moves neighbouring frames by little.
-        let slips = speckle && matches!(self.step, Step::Way(_));
+        }
+    }
+
+    pub fn scene(&self, speckle: bool) -> Scene {
+        let vector = |v: DVec3| format!("[{:?}, {:?}, {:?}]", v.x, v.y, v.z);
+        // Named, as the plan leaves out what changes correlations by little.
+        let slips = speckle && self.frames_apart == 1;
         let plan = ["", "[plan]\nspeckle_slips = true"][usize::from(slips)];
+        let (frames, scan) = (self.frames_apart + 2, self.scan());
         let text = format!(
             r#"
 seed = 3
 speckle = {speckle}
 {plan}
 [part]
-plane = {{ size_mm = [60, 60] }}
+plane = {{ size_mm = [160, 160] }}
 reflectance = 0.6
 rotation_deg = {:?}
 [laser]
 wavelength_nm = 660
 power_mw = 20
-waist_radius_um = 5
+waist_radius_um = 1
 waist_distance_mm = 0
 position_mm = {}
 direction = {}
@@ -106,7 +138,7 @@ bit_depth = 16
 full_well_e = 300000
 [scan]
 moves = "part"
-frames = 3
+frames = {frames}
 {scan}
 "#,
             self.part_deg,

@@ -28,17 +28,20 @@ impl Shown<'_> {
         };
         let most = |of: &dyn Fn(u32) -> f64| {
             let scored = self.frames.clone().map(|frame| (frame, of(frame)));
-            let best = scored.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
-            best.map_or(self.frames.start, |(frame, _)| frame)
+            let some = scored.filter(|(_, score)| *score > 0.0);
+            let best = some.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+            best.map(|(frame, _)| frame)
         };
-        let mut chosen = vec![
+        let middle = self.frames.start + self.frames.len() as u32 / 2;
+        let chosen = [
             (most(&spread), "the one with the greatest spread of depth"),
             (most(&doubts), "the one with the most flags"),
-            (
-                self.frames.start + self.frames.len() as u32 / 2,
-                "the middle one",
-            ),
+            (Some(middle), "the middle one"),
         ];
+        let chosen = chosen
+            .into_iter()
+            .filter_map(|(frame, why)| Some((frame?, why)));
+        let mut chosen: Vec<(u32, &str)> = chosen.collect();
         let mut seen = Vec::new();
         chosen.retain(|(frame, _)| {
             let new = !seen.contains(frame);

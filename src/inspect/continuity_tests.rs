@@ -1,0 +1,178 @@
+//! Flags by neighbouring frames, on clouds made by hand.
+
+use super::*;
+use crate::laser::{Beam, Fan, FanProfile};
+use crate::math::Rigid;
+use crate::math::rng::{Key, Purpose};
+
+const COLUMNS: u32 = 40;
+/// 1/e² radius of the beam, mm: sheets are apart from 0.2 mm on.
+const RADIUS: f64 = 0.1;
+const SIGMA: f64 = 0.001;
+
+fn laser() -> Laser {
+    Laser {
+        beam: Beam {
+            wavelength: 660e-6,
+            power_mw: 1.0,
+            waist_radius: RADIUS,
+            waist_distance: 100.0,
+            m_squared: 1.0,
+        },
+        fan: Some(Fan {
+            angle: 0.5,
+            profile: FanProfile::Uniform,
+        }),
+    }
+}
+
+fn pose(frame: u32, step: f64) -> HeadPose {
+    let moved = Rigid::translation(DVec3::new(0.0, step * frame as f64, 0.0));
+    HeadPose {
+        part_from_laser: moved,
+        part_from_camera: moved,
+    }
+}
+
+/// Points of so many frames on a slope, `step` mm apart.
+fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
+    let point = |frame: u32, column: u32| {
+        let y = step * frame as f64;
+        CloudPoint {
+            position: DVec3::new(0.05 * column as f64, y, 100.0 + 0.5 * y),
+            deviation: 0.0,
+            sigma: SIGMA,
+            deviation_sigma: SIGMA,
+            intensity: 1000.0,
+            frame,
+            column,
+            flags: Flags::empty(),
+            normal: glam::Vec3::Z,
+        }
+    };
+    let frames = (0..frames).flat_map(|f| (0..COLUMNS).map(move |c| (f, c)));
+    frames.map(|(f, c)| point(f, c)).collect()
+}
+
+fn compare(points: &mut [CloudPoint], frames: impl Iterator<Item = u32>, step: f64) {
+    let scanned: Vec<_> = frames.map(|f| (f, pose(f, step))).collect();
+    compare_frames(points, &scanned, &laser());
+}
+
+/// The flags of column 20 of a frame of three, 1 mm apart, when the cloud was changed so.
+fn flags_of(frame: u32, change: impl Fn(&mut Vec<CloudPoint>)) -> Flags {
+    let mut points = slope(3, 1.0);
+    change(&mut points);
+    compare(&mut points, 0..3, 1.0);
+    let at = |p: &&CloudPoint| (p.frame, p.column) == (frame, 20);
+    points.iter().find(at).unwrap().flags
+}
+
+fn of(points: &mut [CloudPoint], frame: u32, column: u32) -> &mut CloudPoint {
+    let at = |p: &&mut CloudPoint| (p.frame, p.column) == (frame, column);
+    points.iter_mut().find(at).unwrap()
+}
+
+#[test]
+fn an_edge_is_taken_back_where_the_surface_goes_on() {
+    let flagged = |points: &mut Vec<CloudPoint>, frame| of(points, frame, 20).flags = Flags::EDGE;
+    assert!(flags_of(1, |p| flagged(p, 1)).is_empty());
+    // Off the line of its neighbours, just within and just beyond what is allowed; of a shift
+    // along z, cos(atan ½) is across the slope.
+    let shift = OFF_CHORD * SIGMA * 1.25f64.sqrt();
+    for (share, left) in [(0.99, Flags::empty()), (1.01, Flags::EDGE)] {
+        let found = flags_of(1, |p| {
+            flagged(p, 1);
+            of(p, 1, 20).position.z += share * shift;
+        });
+        assert_eq!(found, left, "{share}");
+    }
+    // No frame before or after, no column beside, or something else that is doubtful.
+    assert_eq!(flags_of(0, |p| flagged(p, 0)), Flags::EDGE);
+    assert_eq!(flags_of(2, |p| flagged(p, 2)), Flags::EDGE);
+    let hole = |p: &mut Vec<CloudPoint>, frame, column| {
+        flagged(p, 1);
+        p.retain(|p| (p.frame, p.column) != (frame, column));
+    };
+    for (frame, column) in [(1, 19), (1, 21), (0, 20), (2, 20)] {
+        assert_eq!(flags_of(1, |p| hole(p, frame, column)), Flags::EDGE);
+    }
+    for other in [Flags::DOUBLE, Flags::WIDE, Flags::WEAK, Flags::BORDER] {
+        let found = flags_of(1, |p| of(p, 1, 20).flags = Flags::EDGE | other);
+        assert_eq!(found, Flags::EDGE | other);
+    }
+}
+
+#[test]
+fn an_edge_is_set_where_the_surface_ends_in_half_the_light() {
+    let dim = |share: f64, lit: [u32; 2]| {
+        flags_of(1, |points| {
+            points.retain(|p| p.frame == 1 || lit.contains(&p.frame));
+            let middle = points.iter_mut().filter(|p| p.frame == 1);
+            middle.for_each(|p| p.intensity *= share);
+        })
+    };
+    for lit in [[0, 0], [2, 2]] {
+        assert_eq!(dim(0.49, lit), Flags::EDGE);
+        assert!(dim(0.51, lit).is_empty());
+    }
+    // The surface goes on to both sides, or is lit in one frame only.
+    assert!(dim(0.49, [0, 2]).is_empty());
+    assert!(dim(0.49, [1, 1]).is_empty());
+}
+
+/// Frames 0.06 mm apart: what is within the beam's reach, three frames, is not asked.
+#[test]
+fn frames_within_the_beam_say_nothing() {
+    let flags = |missing: &[u32]| {
+        let mut points = slope(20, 0.06);
+        of(&mut points, 10, 20).flags = Flags::EDGE;
+        points.retain(|p| !missing.contains(&p.frame));
+        compare(&mut points, 0..20, 0.06);
+        of(&mut points, 10, 20).flags
+    };
+    assert!(flags(&[7, 8, 9, 11, 12, 13]).is_empty());
+    // The first that is apart has no line.
+    assert_eq!(flags(&[6]), Flags::EDGE);
+}
+
+/// Clouds with holes, dim stretches and flags at random, cut in pieces at random: with the
+/// frames beside them, pieces have the flags of the whole.
+#[test]
+fn pieces_have_the_flags_of_the_whole() {
+    let frames = 24;
+    for seed in 0..30 {
+        let key = Key::new(seed, Purpose::SensorNoise);
+        let step = 0.02 + 0.3 * key.uniform(0);
+        let mut points = slope(frames, step);
+        points.retain_mut(|p| {
+            let key = key.with(p.frame as u64).with(p.column as u64 + 1);
+            // Stretches of four frames and eight columns.
+            let stretch = Key::new(seed, Purpose::SensorNoise)
+                .with(1000 + p.frame as u64 / 4)
+                .with(p.column as u64 / 8);
+            if key.uniform(0) < 0.3 {
+                p.flags = Flags::EDGE;
+            }
+            p.position.z += 4.0 * SIGMA * key.uniform(1);
+            p.intensity *= if stretch.uniform(0) < 0.3 { 0.3 } else { 1.0 };
+            stretch.uniform(1) > 0.2 && key.uniform(2) > 0.02
+        });
+        let mut whole = points.clone();
+        compare(&mut whole, 0..frames, step);
+        assert_ne!(whole, points);
+        let cut = 1 + (key.uniform(1) * (frames - 1) as f64) as u32;
+        for piece in [0..cut, cut..frames] {
+            let own = |p: &&CloudPoint| piece.contains(&p.frame);
+            let of_piece: Vec<CloudPoint> = points.iter().filter(own).copied().collect();
+            let beside = frames_beside(&piece, frames, &of_piece, |f| pose(f, step), &laser());
+            let seen = |f: &u32| piece.contains(f) || beside.contains(f);
+            let mut found: Vec<CloudPoint> = points.clone();
+            found.retain(|p| seen(&p.frame));
+            compare(&mut found, (0..frames).filter(seen), step);
+            found.retain(|p| piece.contains(&p.frame));
+            let expected: Vec<CloudPoint> = whole.iter().filter(own).copied().collect();
+            assert!(found == expected, "{seed} {piece:?}");
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! What a scan gave, in numbers.
+
+use super::reason::Warning;
+use crate::inspect::align::Alignment;
+use crate::inspect::coverage::SurfaceCoverage;
+use crate::inspect::deviation::DeviationStatistics;
+use crate::inspect::uncertainty::UncertaintyStatistics;
+use crate::plan::accuracy::Accuracy;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// `summary.json`.
+#[derive(Debug, Serialize)]
+pub struct ScanSummary {
+    pub scene: PathBuf,
+    pub frames: u32,
+    pub columns: u32,
+    /// Share of all columns of all frames in which a point was measured.
+    pub measured_share: f64,
+    pub points: usize,
+    /// Share of the points at which the lens's blur, which images do not have, is wider than
+    /// two standard deviations of their line; `null` if there is none.
+    pub blurred_share: Option<f64>,
+    /// Of valid points ([`CloudPoint::is_sound`](crate::inspect::cloud::CloudPoint::is_sound)); `null` if there is none.
+    pub deviation: Option<DeviationStatistics>,
+    /// Of all points.
+    pub deviation_of_all: Option<DeviationStatistics>,
+    /// `null` if no point is free of flags.
+    pub uncertainty: Option<UncertaintyStatistics>,
+    /// Number of points with each flag.
+    pub flags: BTreeMap<&'static str, usize>,
+    /// `null` if the scene does not ask for it or too few points were measured.
+    pub alignment: Option<Alignment>,
+    /// What was planned for the scene's tolerance, if it states one.
+    pub accuracy: Option<Accuracy>,
+    pub coverage: Option<SurfaceCoverage>,
+    /// What spoils the scan; empty for a good one.
+    pub warnings: Vec<Warning>,
+    pub cloud: PathBuf,
+    pub report: PathBuf,
+    /// The frame shown in the report, if one was taken, and the cloud over the part.
+    pub pictures: Vec<PathBuf>,
+}

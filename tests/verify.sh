@@ -1,0 +1,119 @@
+#!/bin/sh
+# The long checks and those with other programs. Each is skipped, with a word, where its
+# tool is absent. Fails if a goal is missed.
+#
+#   tests/verify.sh        hours; writes docs/verification.md
+#   tests/verify.sh small  two minutes after `cargo test`; writes out/verify/small.md
+set -eu
+
+cd "$(dirname "$0")/.."
+PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
+export CARGO_TERM_COLOR=never LC_ALL=C
+out=out/verify
+mkdir -p "$out"
+case ${1:-long} in
+small) page=$out/small.md rays=200000 surfaces=8 seconds=5 profile= ;;
+long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release ;;
+*) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
+esac
+rows=$out/rows.md
+: >"$rows"
+missed=0
+
+# check, figure, goal, whether it is met, command
+row() {
+    echo "| $1 | $2 | $3 | $4 | \`$5\` |" >>"$rows"
+    echo "verify: $1: $2 ($4)" >&2
+    [ "$4" != no ] || missed=1
+}
+
+skip() {
+    row "$1" – "$2" "skipped: $3" "$4"
+}
+
+# Runs a command, with what it prints in $log, and tells whether it succeeded.
+try() {
+    log=$out/$1.txt
+    shift
+    echo "verify: $*" >&2
+    if "$@" >"$log" 2>&1; then met=yes; else met=no; fi
+}
+
+name='plans on generated scenes keep their tolerance'
+goal='of plans that say so, few leave more than 1 % of points beyond (binomial, 0.999); all together less than 1 %'
+command='cargo test --release --test accuracy a_hundred -- --ignored --nocapture'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086 # a command is words
+    try plans $command
+    row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
+fi
+
+command="cargo run $profile --example aimed_rays -- $rays"
+# shellcheck disable=SC2086
+try rays $command
+figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; lost += n[2]; false_ += n[3] }
+    END { print lost + 0 " lost and " false_ + 0 " false of " rays + 0 }' "$log")
+case $figure in '0 lost and 0 false of '[1-9]*) ;; *) met=no ;; esac
+row 'rays aimed at vertices and edges of closed meshes' "$figure" 'none' "$met" "$command"
+
+command="cargo run $profile -- wave --quiet --realisations $surfaces -o $out/wave"
+# shellcheck disable=SC2086
+try wave $command
+# 17 rows, each outside its 95 % interval once in 20: more than 5 once in 6000 draws (intervals
+# of few surfaces are somewhat narrow). Seen at 80° the law is known to be off (LIMITS.md).
+# Columns: name, δ, law, texture, waves (low–high).
+figure=$(grep -v '^camera at 80' "$log" |
+    sed -nE 's/^[a-z].* +[0-9.]+ +([0-9.]+) +[0-9.]+ +[0-9.]+ \(([0-9.]+)–([0-9.]+)\).*/\1 \2 \3/p' |
+    awk '{ outside += $1 < $2 || $1 > $3 } END { print outside + 0 " of " NR " rows outside" }')
+case $figure in [0-5]' of 17 rows outside') ;; *) met=no ;; esac
+row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
+
+command='cargo test --test limits_mutated -- --nocapture'
+LASERTRACE_FUZZ_SECONDS=$seconds
+export LASERTRACE_FUZZ_SECONDS
+# shellcheck disable=SC2086
+try mutated $command
+figure=$(awk '/ mutations, / { n += $2 } END { print n + 0 " mutations of seven kinds of files" }' "$log")
+row 'mutated files are taken or refused' "$figure" 'no panic' "$met" "LASERTRACE_FUZZ_SECONDS=$seconds $command"
+
+for target in stl ply obj scene poses calibration png; do
+    name="fuzzing: $target"
+    command="cargo +nightly fuzz run $target fuzz/corpus/$target fuzz/seeds/$target"
+    if [ "$page" = "$out/small.md" ]; then
+        skip "$name" 'no finding' 'not in the small form' "$command"
+    elif ! cargo +nightly fuzz --version >/dev/null 2>&1; then
+        skip "$name" 'no finding' 'no cargo-fuzz or no nightly compiler' "$command"
+    else
+        mkdir -p "fuzz/corpus/$target"
+        # shellcheck disable=SC2086
+        try "fuzz-$target" $command -- -max_len=4096 -max_total_time="$seconds"
+        row "$name" "$(grep -E '^Done [0-9]+ runs' "$log" || echo 'did not end')" 'no finding' "$met" "$command"
+    fi
+done
+
+name='all tests on Debian 13 (Embree 4)'
+command='tests/debian13.sh'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" passed 'not in the small form' "$command"
+elif [ "$(id -u)" -ne 0 ] || ! command -v debootstrap >/dev/null; then
+    skip "$name" passed 'needs root and debootstrap' "$command"
+else
+    try debian13 $command
+    row "$name" "$(tail -n 1 "$log" | tr '|' ' ')" passed "$met" "$command"
+fi
+
+. benches/conditions.sh
+{
+    echo '# Verification'
+    echo
+    echo "Written by \`make verify\`. $(conditions)"
+    echo
+    echo '| check | figure | goal | met | by |'
+    echo '|---|---|---|---|---|'
+    cat "$rows"
+} >"$page.new"
+mv "$page.new" "$page"
+echo "$page"
+exit $missed
