@@ -1,9 +1,9 @@
 //! Accuracy against speed as SVG text: points over logarithmic axes, numbered, and
 //! a table of what they are.
 
+use super::axes::{Axes, Axis};
 use super::chart::short;
-use super::page::escape;
-use std::fmt::Write;
+use super::svg::{END, MIDDLE, Svg};
 
 /// One way of doing the frames.
 pub struct Mark {
@@ -40,9 +40,9 @@ pub struct AccuracyChart {
 const LEFT: f64 = 86.0;
 const TOP: f64 = 142.0;
 const WIDTH: f64 = 930.0;
-const HEIGHT: f64 = 380.0;
-/// Of the strip below the axis for those without error.
-const STRIP: f64 = 26.0;
+const HEIGHT: f64 = 406.0;
+/// Of the frame, for marks whose points are lost and for those without error.
+const BEYOND: [f64; 2] = [22.0, 26.0];
 const ROW: f64 = 21.0;
 
 /// Heads of the table's columns, in two lines, and where they end.
@@ -64,264 +64,147 @@ const BLUE: &str = "#2166ac";
 const ORANGE: &str = "#d95f02";
 const GREY: &str = "#8a8a8a";
 
-/// Logarithmic axis from one power of ten to another, over pixels.
-struct Axis {
-    low: f64,
-    high: f64,
-    from: f64,
-    to: f64,
-}
-
-impl Axis {
-    /// Over whole steps of 1, 2, 5 that hold all values.
-    fn over(values: impl Iterator<Item = f64>, from: f64, to: f64) -> Axis {
-        let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| {
-            (low.min(v), high.max(v))
-        });
-        let (low, high) = if low <= high {
-            (low, high)
-        } else {
-            (1.0, 10.0)
-        };
-        Axis {
-            low: (low * 0.8).log10(),
-            high: (high * 1.25).log10(),
-            from,
-            to,
-        }
-    }
-
-    fn at(&self, value: f64) -> f64 {
-        let share = (value.log10() - self.low) / (self.high - self.low);
-        self.from + (self.to - self.from) * share.clamp(0.0, 1.0)
-    }
-
-    /// 1, 2 and 5 times each power of ten within; only the powers on a long axis.
-    fn ticks(&self) -> Vec<f64> {
-        let long = self.high - self.low > 3.0;
-        let powers = self.low.floor() as i32..=self.high.ceil() as i32;
-        let steps: &[f64] = if long { &[1.0] } else { &[1.0, 2.0, 5.0] };
-        powers
-            .flat_map(|power| steps.iter().map(move |s| s * 10f64.powi(power)))
-            .filter(|v| (self.low..=self.high).contains(&v.log10()))
-            .collect()
-    }
+/// From a little less than the least to a little more than the largest.
+fn around(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let ends = values.fold([f64::INFINITY, 0.0], |[low, high], v| {
+        [v.min(low), v.max(high)]
+    });
+    let [low, high] = if ends[0] <= ends[1] {
+        ends
+    } else {
+        [1.0, 10.0]
+    };
+    [low * 0.8, high * 1.25]
 }
 
 impl AccuracyChart {
     pub fn svg(&self) -> String {
-        let table_top = TOP + HEIGHT + STRIP + 92.0;
+        let table_top = TOP + HEIGHT + 92.0;
         let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 72.0;
-        let width = LEFT + WIDTH + 30.0;
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height:.0}\" \
-             width=\"{width}\" height=\"{height:.0}\" font-family=\"sans-serif\" font-size=\"13\" \
-             role=\"img\" aria-label=\"accuracy against speed\">\
-             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\
-             <text x=\"24\" y=\"32\" font-size=\"18\" font-weight=\"bold\">{}</text>",
-            escape(&self.title)
+        let mut svg = Svg::file([LEFT + WIDTH + 30.0, height], 13.0);
+        svg.text(
+            [24.0, 32.0],
+            "font-size='18' font-weight='bold'",
+            &self.title,
         );
         let lines = self.lead.iter().flat_map(|line| wrapped(line));
         for (i, line) in lines.enumerate() {
-            let y = 54 + 18 * i;
-            let _ = write!(
-                svg,
-                "<text x=\"24\" y=\"{y}\" fill=\"#444\">{}</text>",
-                escape(&line)
-            );
+            svg.text([24.0, 54.0 + 18.0 * i as f64], "fill='#444'", &line);
         }
-        let speeds = self.marks.iter().map(|m| 1e3 / m.ms[1]);
-        let x = Axis::over(speeds, LEFT, LEFT + WIDTH);
         let errors = self.marks.iter().filter_map(|m| m.within_um);
-        let lines = [self.tolerance_um, self.limit_um].into_iter().flatten();
-        let y = Axis::over(
-            errors.filter(|&um| um > 0.0).chain(lines),
-            TOP + HEIGHT,
-            TOP + 22.0,
-        );
-        self.axes(&mut svg, &x, &y);
-        self.limits(&mut svg, &y);
-        self.front(&mut svg, &x, &y);
-        self.points(&mut svg, &x, &y);
+        let limits = [self.tolerance_um, self.limit_um].into_iter().flatten();
+        let axes = Axes {
+            frame: [LEFT, TOP, WIDTH, HEIGHT],
+            beyond: BEYOND,
+            title: "",
+            x: Axis::logarithmic(
+                "frames a second on one core (faster →)",
+                around(self.marks.iter().map(|m| 1e3 / m.ms[1])),
+            ),
+            y: Axis::logarithmic(
+                "error of 99 in 100 heights, µm (← better)",
+                around(errors.filter(|&um| um > 0.0).chain(limits)),
+            ),
+        };
+        axes.draw(&mut svg);
+        let [above, below] = [TOP + BEYOND[0] / 2.0, TOP + HEIGHT - BEYOND[1] / 2.0];
+        let y = below - BEYOND[1] / 2.0;
+        let dotted = "stroke='#999' stroke-dasharray='2 3'";
+        svg.line([LEFT, y], [LEFT + WIDTH, y], dotted);
+        svg.text([LEFT - 7.0, below + 4.5], END, "exact");
+        self.limits(&mut svg, &axes);
+        let place = |mark: &Mark| {
+            let [x, y] = axes.at(1e3 / mark.ms[1], mark.within_um.unwrap_or(1.0));
+            match mark.within_um {
+                None => [x, above],
+                Some(0.0) => [x, below],
+                Some(_) => [x, y],
+            }
+        };
+        let places: Vec<[f64; 2]> = self.marks.iter().map(place).collect();
+        let on_front = self.marks.iter().filter(|m| m.on_front);
+        let mut front: Vec<[f64; 2]> = on_front.map(place).collect();
+        front.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let style = format!("stroke='{BLUE}' stroke-width='2' opacity='.5'");
+        svg.polyline(front, &style);
+        self.points(&mut svg, &axes, &places);
         self.table(&mut svg, table_top);
-        svg.push_str("</svg>\n");
-        svg
+        svg.finish()
     }
 
-    fn axes(&self, svg: &mut String, x: &Axis, y: &Axis) {
-        let bottom = TOP + HEIGHT + STRIP;
-        for value in x.ticks() {
-            let at = x.at(value);
-            let _ = write!(
-                svg,
-                "<line x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{bottom}\" \
-                 stroke=\"#e4e4e4\"/><text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
-                bottom + 17.0,
-                plain(value)
-            );
-        }
-        for value in y.ticks() {
-            let at = y.at(value);
-            let _ = write!(
-                svg,
-                "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"#e4e4e4\"/>\
-                 <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                LEFT + WIDTH,
-                LEFT - 7.0,
-                at + 4.5,
-                plain(value)
-            );
-        }
-        let _ = write!(
-            svg,
-            "<rect x=\"{LEFT}\" y=\"{TOP}\" width=\"{WIDTH}\" height=\"{}\" fill=\"none\" \
-             stroke=\"#333\"/><line x1=\"{LEFT}\" x2=\"{}\" y1=\"{y0}\" y2=\"{y0}\" stroke=\"#999\" \
-             stroke-dasharray=\"2 3\"/>\
-             <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">exact</text>\
-             <text x=\"{}\" y=\"{}\" text-anchor=\"middle\">frames a second on one core \
-             (faster →)</text>\
-             <text transform=\"translate(22 {}) rotate(-90)\" text-anchor=\"middle\">error of \
-             99 in 100 heights, µm (← better)</text>",
-            HEIGHT + STRIP,
-            LEFT + WIDTH,
-            LEFT - 7.0,
-            TOP + HEIGHT + STRIP / 2.0 + 4.5,
-            LEFT + WIDTH / 2.0,
-            bottom + 38.0,
-            TOP + (HEIGHT + STRIP) / 2.0,
-            y0 = TOP + HEIGHT,
-        );
-    }
-
-    fn limits(&self, svg: &mut String, y: &Axis) {
+    fn limits(&self, svg: &mut Svg, axes: &Axes) {
         let mut line = |um: Option<f64>, text: &str, color: &str| {
             let Some(um) = um else { return };
-            let at = y.at(um);
-            let _ = write!(
-                svg,
-                "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"{color}\" \
-                 stroke-width=\"1.5\" stroke-dasharray=\"7 4\"/>\
-                 <text x=\"{}\" y=\"{:.1}\" fill=\"{color}\">{text} {} µm</text>",
-                LEFT + WIDTH,
-                LEFT + 8.0,
-                at - 5.0,
-                short(um)
-            );
+            let y = axes.at(1.0, um)[1];
+            let style = format!("stroke='{color}' stroke-width='1.5' stroke-dasharray='7 4'");
+            svg.line([LEFT, y], [LEFT + WIDTH, y], &style);
+            let text = format!("{text} {} µm", short(um));
+            svg.text([LEFT + 8.0, y - 5.0], &format!("fill='{color}'"), &text);
         };
         line(self.tolerance_um, "tolerance", ORANGE);
         let text = "what speckle itself does to a point:";
         line(self.limit_um, text, GREY);
     }
 
-    fn y(mark: &Mark, axis: &Axis) -> f64 {
-        match mark.within_um {
-            None => TOP + 10.0,
-            Some(0.0) => TOP + HEIGHT + STRIP / 2.0,
-            Some(um) => axis.at(um),
-        }
-    }
-
-    fn front(&self, svg: &mut String, x: &Axis, y: &Axis) {
-        let on_front = self.marks.iter().filter(|m| m.on_front);
-        let mut places: Vec<(f64, f64)> = on_front
-            .map(|m| (x.at(1e3 / m.ms[1]), Self::y(m, y)))
-            .collect();
-        places.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut path = String::new();
-        for (i, (px, py)) in places.iter().enumerate() {
-            let letter = if i == 0 { 'M' } else { 'L' };
-            let _ = write!(path, "{letter}{px:.1} {py:.1}");
-        }
-        let _ = write!(
-            svg,
-            "<path d=\"{path}\" fill=\"none\" stroke=\"{BLUE}\" stroke-width=\"2\" opacity=\".5\"/>"
-        );
-    }
-
-    fn points(&self, svg: &mut String, x: &Axis, y: &Axis) {
-        let mut taken: Vec<(f64, f64)> = Vec::new();
-        let places: Vec<(f64, f64)> = self
-            .marks
-            .iter()
-            .map(|m| (x.at(1e3 / m.ms[1]), Self::y(m, y)))
-            .collect();
-        for (i, (mark, &(px, py))) in self.marks.iter().zip(&places).enumerate() {
+    fn points(&self, svg: &mut Svg, axes: &Axes, places: &[[f64; 2]]) {
+        let mut taken = Vec::new();
+        for (i, (mark, &place)) in self.marks.iter().zip(places).enumerate() {
             let color = match (mark.chosen, mark.on_front) {
                 (true, _) => ORANGE,
                 (_, true) => BLUE,
                 _ => GREY,
             };
-            let [slow, fast] = [mark.ms[2], mark.ms[0]].map(|ms| x.at(1e3 / ms));
+            let [slow, fast] = [mark.ms[2], mark.ms[0]].map(|ms| axes.at(1e3 / ms, 1.0)[0]);
+            let stroke = format!("stroke='{color}'");
+            svg.line([slow, place[1]], [fast, place[1]], &stroke);
             let fill = if mark.hollow { "#fff" } else { color };
             let radius = if mark.chosen { 8.0 } else { 5.0 };
-            let _ = write!(
-                svg,
-                "<line x1=\"{slow:.1}\" x2=\"{fast:.1}\" y1=\"{py:.1}\" y2=\"{py:.1}\" \
-                 stroke=\"{color}\"/><circle cx=\"{px:.1}\" cy=\"{py:.1}\" r=\"{radius}\" \
-                 fill=\"{fill}\" stroke=\"{color}\" stroke-width=\"1.6\"><title>{}</title></circle>",
-                escape(&mark.name)
+            let style = format!("fill='{fill}' {stroke} stroke-width='1.6'");
+            svg.group(&style, &mark.name, |svg| svg.circle(place, radius, ""));
+            let [x, y] = free_place(place, places, &taken);
+            taken.push([x, y]);
+            svg.line(place, [x, y], &format!("{stroke} stroke-width='.5'"));
+            let style = format!(
+                "{MIDDLE} font-weight='bold' fill='{color}' stroke='#fff' stroke-width='3' \
+                 paint-order='stroke'"
             );
-            let (tx, ty) = free_place((px, py), &places, &taken);
-            taken.push((tx, ty));
-            let _ = write!(
-                svg,
-                "<line x1=\"{px:.1}\" y1=\"{py:.1}\" x2=\"{tx:.1}\" y2=\"{ty:.1}\" \
-                 stroke=\"{color}\" stroke-width=\".5\"/>\
-                 <text x=\"{tx:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\" \
-                 fill=\"{color}\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\">{}</text>",
-                ty + 4.5,
-                i + 1
-            );
+            svg.text([x, y + 4.5], &style, &(i + 1).to_string());
         }
     }
 
-    fn table(&self, svg: &mut String, top: f64) {
-        let cell = |svg: &mut String, x: f64, y: f64, anchor: &str, style: &str, text: &str| {
-            let text = escape(text);
-            let _ = write!(
-                svg,
-                "<text x=\"{x}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {style}>{text}</text>"
-            );
-        };
-        let bold = "font-weight=\"bold\" font-size=\"12\"";
+    fn table(&self, svg: &mut Svg, top: f64) {
+        let head = format!("{END} font-weight='bold' font-size='12'");
         for (titles, x) in COLUMNS {
             for (line, title) in titles.into_iter().enumerate() {
-                let y = top - 15.0 * (1.0 - line as f64);
-                cell(svg, x, y, "end", bold, title);
+                svg.text([x, top - 15.0 * (1.0 - line as f64)], &head, title);
             }
         }
         for (i, mark) in self.marks.iter().enumerate() {
             let y = top + ROW * (i as f64 + 1.0);
-            let style = match (mark.chosen, mark.on_front) {
-                (true, _) => format!("fill=\"{ORANGE}\" font-weight=\"bold\""),
-                (_, true) => format!("fill=\"{BLUE}\""),
-                _ => "fill=\"#444\"".into(),
+            let color = match (mark.chosen, mark.on_front) {
+                (true, _) => format!("fill='{ORANGE}' font-weight='bold'"),
+                (_, true) => format!("fill='{BLUE}'"),
+                _ => "fill='#444'".into(),
             };
-            cell(svg, 42.0, y, "end", &style, &(i + 1).to_string());
-            cell(
-                svg,
-                52.0,
-                y,
-                "start",
-                &format!("{style} font-size=\"12\""),
-                &mark.name,
-            );
-            let lost = |um: Option<f64>, none: &str| um.map_or(none.to_owned(), short);
+            let style = format!("{END} {color}");
+            svg.text([42.0, y], &style, &(i + 1).to_string());
+            svg.text([52.0, y], &format!("{color} font-size='12'"), &mark.name);
+            let or = |value: Option<f64>, none: &str| value.map_or(none.to_owned(), short);
             let cells = [
                 short(mark.ms[1]),
                 short(mark.speed_up),
-                lost(mark.ms_per_million, "–"),
+                or(mark.ms_per_million, "–"),
                 short(mark.memory_mb),
-                lost(mark.within_um, "lost"),
+                or(mark.within_um, "lost"),
                 short(mark.bias_um),
                 short(mark.noise_um),
                 short(100.0 * mark.lost),
-                lost(mark.scatter_um, "–"),
-                lost(mark.sigma_px, "–"),
-                lost(mark.contrast, "–"),
+                or(mark.scatter_um, "–"),
+                or(mark.sigma_px, "–"),
+                or(mark.contrast, "–"),
             ];
             for ((_, x), text) in COLUMNS.iter().zip(cells) {
-                cell(svg, *x, y, "end", &style, &text);
+                svg.text([*x, y], &style, &text);
             }
         }
         let y = top + ROW * (self.marks.len() as f64 + 1.0) + 8.0;
@@ -334,8 +217,8 @@ impl AccuracyChart {
              frame. Contrast: of columns' light along the line.",
         ];
         for (i, note) in notes.into_iter().enumerate() {
-            let style = "fill=\"#666\" font-size=\"11.5\"";
-            cell(svg, 24.0, y + 16.0 * i as f64, "start", style, note);
+            let style = "fill='#666' font-size='11.5'";
+            svg.text([24.0, y + 16.0 * i as f64], style, note);
         }
     }
 }
@@ -358,22 +241,22 @@ fn wrapped(line: &str) -> Vec<String> {
 }
 
 /// Beside a mark, where neither marks nor other numbers are.
-fn free_place((x, y): (f64, f64), marks: &[(f64, f64)], numbers: &[(f64, f64)]) -> (f64, f64) {
-    let room = |&(px, py): &(f64, f64)| {
-        let gap = |others: &[(f64, f64)]| {
-            let gaps = others.iter().map(|(ox, oy)| (ox - px).hypot(oy - py));
+fn free_place([x, y]: [f64; 2], marks: &[[f64; 2]], numbers: &[[f64; 2]]) -> [f64; 2] {
+    let room = |&[px, py]: &[f64; 2]| {
+        let gap = |others: &[[f64; 2]]| {
+            let gaps = others.iter().map(|[ox, oy]| (ox - px).hypot(oy - py));
             gaps.fold(f64::INFINITY, f64::min)
         };
         let inside = (LEFT + 8.0..LEFT + WIDTH - 8.0).contains(&px)
-            && (TOP + 6.0..TOP + HEIGHT + STRIP - 6.0).contains(&py);
+            && (TOP + 6.0..TOP + HEIGHT - 6.0).contains(&py);
         (gap(marks).min(14.0) + gap(numbers).min(18.0)) * inside as u8 as f64
     };
     let around = (0..48).map(|i| {
         let (sin, cos) = ((i % 16) as f64 * std::f64::consts::TAU / 16.0 - 1.0).sin_cos();
         let away = 16.0 + 10.0 * (i / 16) as f64;
-        (x + away * cos, y + away * sin)
+        [x + away * cos, y + away * sin]
     });
-    let mut best = (x, y - 16.0);
+    let mut best = [x, y - 16.0];
     let mut most = room(&best);
     for place in around {
         if room(&place) > most + 0.5 {
@@ -382,11 +265,4 @@ fn free_place((x, y): (f64, f64), marks: &[(f64, f64)], numbers: &[(f64, f64)]) 
         }
     }
     best
-}
-
-fn plain(value: f64) -> String {
-    match value >= 1.0 {
-        true => format!("{value:.0}"),
-        false => format!("{}", (value * 1e9).round() / 1e9),
-    }
 }

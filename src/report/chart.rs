@@ -1,7 +1,8 @@
 //! Charts as SVG text.
 
+use super::axes::{Axes, Axis};
 use super::color::{Rgb, css};
-use std::fmt::Write;
+use super::svg::{MIDDLE, Svg};
 
 /// A histogram: what is counted, and where its axis ends.
 pub struct Histogram<'a> {
@@ -13,9 +14,6 @@ pub struct Histogram<'a> {
     /// Expected count in a bin from one value to another.
     pub expected: Option<&'a dyn Fn(f64, f64) -> f64>,
 }
-
-const WIDTH: f64 = 400.0;
-const HEIGHT: f64 = 170.0;
 
 impl Histogram<'_> {
     /// What lies beyond the axis is counted in the title.
@@ -36,111 +34,71 @@ impl Histogram<'_> {
         });
         let most = bins.iter().copied().max().unwrap_or(0).max(1) as f64;
         let highest = expected.iter().copied().fold(most, f64::max);
-        let bar = WIDTH / BINS as f64;
-        let mut svg = format!(
-            "<svg viewBox=\"-50 -10 {} {}\" role=\"img\" aria-label=\"{}\">",
-            WIDTH + 70.0,
-            HEIGHT + 60.0,
-            self.title
-        );
-        for (i, &count) in bins.iter().enumerate() {
-            let color = css((self.color)((edge(i) + edge(i + 1)) / 2.0));
-            let height = HEIGHT * count as f64 / highest;
-            let _ = write!(
-                svg,
-                "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{bar:.1}\" height=\"{height:.1}\" \
-                 fill=\"{color}\" stroke=\"#555\" stroke-width=\".4\"/>",
-                i as f64 * bar,
-                HEIGHT - height,
-            );
-        }
-        if !expected.is_empty() {
-            svg.push_str("<polyline fill=\"none\" stroke=\"#111\" stroke-width=\"1.5\" points=\"");
-            for (i, &count) in expected.iter().enumerate() {
-                let y = HEIGHT * (1.0 - count / highest);
-                let _ = write!(svg, "{:.1},{y:.1} ", (i as f64 + 0.5) * bar);
-            }
-            svg.push_str("\"/>");
-        }
-        self.axis(&mut svg, highest, beyond);
-        svg
-    }
-
-    fn axis(&self, svg: &mut String, highest: f64, beyond: usize) {
-        let _ = write!(
-            svg,
-            "<line x1=\"0\" y1=\"{HEIGHT}\" x2=\"{WIDTH}\" y2=\"{HEIGHT}\" stroke=\"#333\"/>"
-        );
-        for i in 0..=4 {
-            let share = i as f64 / 4.0;
-            let _ = write!(
-                svg,
-                "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
-                share * WIDTH,
-                HEIGHT + 18.0,
-                short(self.low + share * (self.high - self.low))
-            );
-        }
-        let _ = write!(
-            svg,
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{} \
-             ({beyond} of {} points lie beyond)</text>\
-             <text x=\"-6\" y=\"10\" text-anchor=\"end\">{highest:.0}</text>\
-             <text x=\"-6\" y=\"{HEIGHT}\" text-anchor=\"end\">0</text></svg>",
-            WIDTH / 2.0,
-            HEIGHT + 40.0,
+        let title = format!(
+            "{} ({beyond} of {} points lie beyond)",
             self.title,
             self.values.len()
         );
+        let axes = Axes {
+            frame: [0.0, 0.0, 400.0, 170.0],
+            beyond: [0.0; 2],
+            title: "",
+            x: Axis::linear(&title, [self.low, self.high]),
+            y: Axis::linear("", [0.0, highest]),
+        };
+        let mut svg = Svg::part([-50.0, -10.0, 470.0, 230.0], "", self.title);
+        axes.draw(&mut svg);
+        for (i, &count) in bins.iter().enumerate() {
+            let color = css((self.color)((edge(i) + edge(i + 1)) / 2.0));
+            let [left, top] = axes.at(edge(i), count as f64);
+            let [right, bottom] = axes.at(edge(i + 1), 0.0);
+            svg.rect(
+                [left, top, right - left, bottom - top],
+                &format!("fill='{color}' stroke='#555' stroke-width='.4'"),
+            );
+        }
+        if !expected.is_empty() {
+            let middle = |i: usize| (edge(i) + edge(i + 1)) / 2.0;
+            let counts = expected.iter().enumerate();
+            let style = "stroke='#111' stroke-width='1.5'";
+            axes.curve(&mut svg, counts.map(|(i, &n)| (middle(i), n)), style);
+        }
+        svg.finish()
     }
 }
 
 /// Bar of the colours from `low` to `high`, with `unit` at its middle.
 pub fn color_bar(low: f64, high: f64, unit: &str, color: &dyn Fn(f64) -> Rgb) -> String {
-    let mut svg = format!(
-        "<svg viewBox=\"-20 0 480 44\" class=\"bar\" role=\"img\" \
-         aria-label=\"colours from {} to {} {unit}\">",
-        short(low),
-        short(high)
-    );
+    let label = format!("colours from {} to {} {unit}", short(low), short(high));
+    let mut svg = Svg::part([-20.0, 0.0, 480.0, 44.0], "class='bar'", &label);
     for i in 0..100 {
         let fill = css(color(low + (high - low) * (i as f64 + 0.5) / 100.0));
-        let x = 20 + 4 * i;
-        let _ = write!(
-            svg,
-            "<rect x=\"{x}\" y=\"0\" width=\"4.2\" height=\"18\" fill=\"{fill}\"/>"
-        );
+        let x = 20.0 + 4.0 * i as f64;
+        svg.rect([x, 0.0, 4.2, 18.0], &format!("fill='{fill}'"));
     }
     for (x, value) in [(20.0, low), (220.0, (low + high) / 2.0), (420.0, high)] {
-        let _ = write!(
-            svg,
-            "<text x=\"{x}\" y=\"36\" text-anchor=\"middle\">{} {unit}</text>",
-            short(value),
-        );
+        svg.text([x, 36.0], MIDDLE, &format!("{} {unit}", short(value)));
     }
-    svg.push_str("</svg>");
-    svg
+    svg.finish()
 }
 
 /// One bar of parts: name, share of the whole, colour.
 pub fn share_bar(title: &str, parts: &[(&str, f64, Rgb)]) -> String {
-    let mut svg = format!(
-        "<svg viewBox=\"0 0 720 30\" class=\"shares\" role=\"img\" aria-label=\"{title}\">"
-    );
+    let mut svg = Svg::part([0.0, 0.0, 720.0, 30.0], "class='shares'", title);
     let mut x = 0.0;
     for (name, share, color) in parts {
-        let _ = write!(
-            svg,
-            "<rect x=\"{x:.2}\" y=\"0\" width=\"{:.2}\" height=\"30\" fill=\"{}\">\
-             <title>{name}: {} of 100</title></rect>",
-            720.0 * share,
-            css(*color),
-            short(100.0 * share)
+        let width = 720.0 * share;
+        let style = format!("fill='{}'", css(*color));
+        svg.group(
+            &style,
+            &format!("{name}: {} of 100", short(100.0 * share)),
+            |svg| {
+                svg.rect([x, 0.0, width, 30.0], "");
+            },
         );
-        x += 720.0 * share;
+        x += width;
     }
-    svg.push_str("</svg>");
-    svg
+    svg.finish()
 }
 
 /// Three significant digits, four decimals at the most, without an exponent.
@@ -180,6 +138,6 @@ mod tests {
     #[test]
     fn a_bar_of_shares_is_as_long_as_their_sum() {
         let svg = share_bar("t", &[("a", 0.25, [1, 2, 3]), ("b", 0.75, [4, 5, 6])]);
-        assert!(svg.contains("x=\"180.00\"") && svg.contains("width=\"540.00\""));
+        assert!(svg.contains("x=\"180\"") && svg.contains("width=\"540\""));
     }
 }

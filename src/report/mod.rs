@@ -1,16 +1,18 @@
 //! How results look: page, plots, pictures, and the forms of the cloud.
 
 pub mod accuracy_chart;
+pub mod axes;
 pub mod chart;
 pub mod color;
 pub mod formats;
 pub mod page;
 pub mod picture;
-pub mod plot;
 pub mod ply;
 #[cfg(feature = "race")]
 pub mod race_plot;
 pub mod residual_picture;
 pub mod setup;
+pub mod svg;
+pub mod uncertainty_plot;
 pub mod viewer;
 pub mod wave_plot;

@@ -3,11 +3,12 @@
 
 use super::chart::{share_bar, short};
 use super::color::{Rgb, css};
+use super::picture::data_url;
+use super::svg::Svg;
 use super::viewer::Viewer;
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
-use base64::Engine;
 use std::fmt::Write;
 
 /// What a report shows, in its order.
@@ -54,19 +55,11 @@ pub struct SampleFrame {
     pub line: Vec<(f64, f64)>,
 }
 
-pub(crate) fn escape(text: &str) -> String {
+fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;")
         .replace('"', "&quot;")
-}
-
-pub(crate) fn base64(bytes: &[u8]) -> String {
-    base64::engine::general_purpose::STANDARD.encode(bytes)
-}
-
-pub(crate) fn data_url(png: &[u8]) -> String {
-    format!("data:image/png;base64,{}", base64(png))
 }
 
 impl Report {
@@ -307,31 +300,20 @@ impl SampleFrame {
     /// The frame with the line over it; breaks in the line where columns are
     /// missing or the row jumps.
     fn figure(&self, html: &mut String) {
-        let _ = write!(
-            html,
-            "<figure class=\"frame\">\
-             <svg viewBox=\"0 0 {w} {h}\" role=\"img\" aria-label=\"sensor frame {n}\">\
-             <image href=\"{}\" width=\"{w}\" height=\"{h}\"/>",
-            data_url(&self.png),
-            n = self.number,
-            w = self.width,
-            h = self.height
-        );
+        let view = [0.0, 0.0, self.width.into(), self.height.into()];
+        let mut svg = Svg::part(view, "", &format!("sensor frame {}", self.number));
+        svg.image(view, &self.png);
         let joined = |a: &(f64, f64), b: &(f64, f64)| b.0 - a.0 <= 1.5 && (b.1 - a.1).abs() <= 5.0;
         for run in self.line.chunk_by(joined) {
-            html.push_str(
-                "<polyline fill=\"none\" stroke=\"#00c8ff\" stroke-width=\"1\" points=\"",
-            );
-            for (column, row) in run {
-                let _ = write!(html, "{column:.1},{row:.2} ");
-            }
-            html.push_str("\"/>");
+            svg.polyline(run.iter().map(|&(x, y)| [x, y]), "stroke='#00c8ff'");
         }
         let _ = write!(
             html,
-            "</svg><figcaption>Frame {}, {}: counts, brightened (gamma 2.2), with the extracted \
+            "<figure class=\"frame\">{}<figcaption>Frame {}, {}: counts, brightened (gamma 2.2), with the extracted \
              line in blue.</figcaption></figure>",
-            self.number, self.why
+            svg.finish(),
+            self.number,
+            self.why
         );
     }
 }

@@ -3,6 +3,7 @@
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Counts;
 use crate::math::{Aabb, DVec3};
+use base64::Engine;
 use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;
 
@@ -12,6 +13,14 @@ fn encode(samples: &[u8], width: usize, height: usize, color: ExtendedColorType)
         .write_image(samples, width as u32, height as u32, color)
         .expect("writing to memory does not fail");
     png
+}
+
+pub(super) fn base64(bytes: &[u8]) -> String {
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}
+
+pub(super) fn data_url(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64(png))
 }
 
 /// PNG of 16-bit sensor counts as they are.

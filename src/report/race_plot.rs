@@ -1,9 +1,10 @@
 //! The race as a picture: a row a racer, a column a question.
 
+use super::axes::{Mark, legend};
+use super::svg::Svg;
 use crate::race::aimed::Asked;
 use crate::race::table::out_of_time;
 use crate::race::{Finish, Race, Spread};
-use std::fmt::Write;
 
 const ROW: f64 = 34.0;
 const TOP: f64 = 118.0;
@@ -13,9 +14,12 @@ const LINE: f64 = 18.0;
 const COLUMN: f64 = 170.0;
 /// Longest bar; the rest of a column is for its number.
 const BAR: f64 = 108.0;
-const ONE: &str = "#1f5f8b";
-const ALL: &str = "#a9cbe0";
-const BAD: &str = "#b5482a";
+/// Of a bar.
+const THICK: f64 = ROW / 2.0 - 5.0;
+const ONE: &str = "fill='#1f5f8b'";
+const ALL: &str = "fill='#a9cbe0'";
+const BAD: &str = "fill='#b5482a'";
+const BOLD: &str = "font-weight='bold'";
 
 /// What a racer shows in a column.
 enum Cell {
@@ -48,54 +52,37 @@ pub fn plot(race: &Race, name: &str) -> String {
     let width = NAMES + COLUMN * columns.len() as f64 + 20.0;
     let late = out_of_time(race).len() as f64;
     let height = TOP + ROW * race.racers.len() as f64 + 84.0 + LINE * late;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" \
-         font-family=\"sans-serif\" font-size=\"12\" fill=\"#222\">\
-         <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\
-         <text x=\"16\" y=\"30\" font-size=\"18\" font-weight=\"bold\">Ray–mesh intersection on {}: \
-         {} triangles</text>",
-        escaped(name),
+    let mut svg = Svg::file([width, height], 12.0);
+    let title = format!(
+        "Ray–mesh intersection on {name}: {} triangles",
         race.triangles
     );
+    svg.text([16.0, 30.0], "font-size='18' font-weight='bold'", &title);
     let bottom = TOP + ROW * race.racers.len() as f64;
     for (i, racer) in race.racers.iter().enumerate() {
         let y = TOP + ROW * i as f64;
         if i % 2 == 0 {
-            let _ = write!(
-                svg,
-                "<rect x=\"0\" y=\"{y}\" width=\"{width}\" height=\"{ROW}\" fill=\"#f4f4f4\"/>"
-            );
+            svg.rect([0.0, y, width, ROW], "fill='#f4f4f4'");
         }
-        let weight = if racer.name.starts_with("lasertrace") {
-            "bold"
-        } else {
-            "normal"
+        let style = match racer.name.starts_with("lasertrace") {
+            true => BOLD,
+            false => "",
         };
-        let _ = write!(
-            svg,
-            "<text x=\"16\" y=\"{}\" font-weight=\"{weight}\">{}</text>",
-            y + ROW / 2.0 + 4.0,
-            escaped(racer.name)
-        );
+        svg.text([16.0, y + ROW / 2.0 + 4.0], style, racer.name);
     }
     for (c, (title, unit, cell)) in columns.iter().enumerate() {
         let x = NAMES + COLUMN * c as f64;
         let cells: Vec<Cell> = race.racers.iter().map(cell).collect();
         let largest = cells.iter().map(Cell::largest).fold(1e-12, f64::max);
-        let _ = write!(
-            svg,
-            "<text x=\"{x}\" y=\"{}\" font-weight=\"bold\">{title}</text>\
-             <text x=\"{x}\" y=\"{}\" fill=\"#666\">{unit}</text>\
-             <line x1=\"{x}\" x2=\"{x}\" y1=\"{TOP}\" y2=\"{bottom}\" stroke=\"#999\"/>",
-            TOP - 28.0,
-            TOP - 12.0
-        );
+        svg.text([x, TOP - 28.0], BOLD, title);
+        svg.text([x, TOP - 12.0], "fill='#666'", unit);
+        svg.line([x, TOP], [x, bottom], "stroke='#999'");
         for (i, cell) in cells.iter().enumerate() {
             draw(&mut svg, cell, [x, TOP + ROW * i as f64], BAR / largest);
         }
     }
-    legend(&mut svg, race, bottom);
-    svg + "</svg>\n"
+    notes(&mut svg, race, bottom);
+    svg.finish()
 }
 
 type Column<'r> = (String, &'static str, Box<dyn Fn(&Finish) -> Cell + 'r>);
@@ -141,75 +128,51 @@ fn columns(race: &Race) -> Vec<Column<'_>> {
     columns
 }
 
-fn draw(svg: &mut String, cell: &Cell, [x, y]: [f64; 2], scale: f64) {
-    let thick = ROW / 2.0 - 5.0;
-    let (upper, lower) = (y + 4.0, y + ROW / 2.0 + 1.0);
+fn draw(svg: &mut Svg, cell: &Cell, [x, y]: [f64; 2], scale: f64) {
+    let [upper, lower] = [y + 4.0, y + ROW / 2.0 + 1.0].map(|y| [x, y]);
+    let middle = [x, y + 10.0];
+    let number = |svg: &mut Svg, at, n: f64, style| {
+        bar(svg, at, [n * scale, 0.0], style, &short(n));
+    };
     match cell {
         Cell::Speeds(one, all) => {
-            spread_bar(svg, [x, upper, thick], one, scale, ONE);
-            spread_bar(svg, [x, lower, thick], all, scale, ALL);
+            spread_bar(svg, upper, one, scale, ONE);
+            spread_bar(svg, lower, all, scale, ALL);
         }
-        Cell::Seconds(s) => spread_bar(svg, [x, upper + 6.0, thick], s, scale, ALL),
-        Cell::Number(n) => {
-            bar(
-                svg,
-                [x, upper + 6.0, thick],
-                [n * scale, 0.0],
-                ALL,
-                &short(*n),
-            );
-        }
+        Cell::Seconds(s) => spread_bar(svg, middle, s, scale, ALL),
+        Cell::Number(n) => number(svg, middle, *n, ALL),
         Cell::Misses(edges, vertices) => {
-            for (y, n) in [(upper, edges), (lower, vertices)] {
-                bar(svg, [x, y, thick], [n * scale, 0.0], BAD, &short(*n));
-            }
+            number(svg, upper, *edges, BAD);
+            number(svg, lower, *vertices, BAD);
         }
-        Cell::Unknown => bar(svg, [x, upper + 6.0, thick], [0.0; 2], ALL, "as Embree's"),
-        Cell::OutOfTime => bar(svg, [x, upper + 6.0, thick], [0.0; 2], BAD, "out of time"),
+        Cell::Unknown => bar(svg, middle, [0.0; 2], ALL, "as Embree's"),
+        Cell::OutOfTime => bar(svg, middle, [0.0; 2], BAD, "out of time"),
     }
 }
 
 /// A bar to the median, with a line from quartile to quartile.
-fn spread_bar(svg: &mut String, at: [f64; 3], s: &Spread, scale: f64, color: &str) {
-    let [x, y, thick] = at;
+fn spread_bar(svg: &mut Svg, [x, y]: [f64; 2], s: &Spread, scale: f64, style: &str) {
     let lengths = [s.median * scale, s.high * scale];
-    bar(svg, at, lengths, color, &short(s.median));
-    let (low, high, y) = (x + s.low * scale, x + lengths[1], y + thick / 2.0);
-    let _ = write!(
-        svg,
-        "<line x1=\"{low:.1}\" x2=\"{high:.1}\" y1=\"{y}\" y2=\"{y}\" stroke=\"#222\" stroke-width=\"2\"/>"
-    );
+    bar(svg, [x, y], lengths, style, &short(s.median));
+    let y = y + THICK / 2.0;
+    let quartiles = [[x + s.low * scale, y], [x + lengths[1], y]];
+    svg.line(quartiles[0], quartiles[1], "stroke='#222' stroke-width='2'");
 }
 
 /// A bar; its label stands behind `clear`, to where a whisker may reach.
-fn bar(
-    svg: &mut String,
-    [x, y, thick]: [f64; 3],
-    [length, clear]: [f64; 2],
-    color: &str,
-    label: &str,
-) {
-    let _ = write!(
-        svg,
-        "<rect x=\"{x}\" y=\"{y:.1}\" width=\"{length:.1}\" height=\"{thick}\" fill=\"{color}\"/>\
-         <text x=\"{:.1}\" y=\"{:.1}\" font-size=\"11\">{label}</text>",
-        x + length.max(clear) + 6.0,
-        y + thick - 2.0
-    );
+fn bar(svg: &mut Svg, [x, y]: [f64; 2], [length, clear]: [f64; 2], style: &str, label: &str) {
+    svg.rect([x, y, length, THICK], style);
+    let place = [x + length.max(clear) + 6.0, y + THICK - 2.0];
+    svg.text(place, "font-size='11'", label);
 }
 
-fn legend(svg: &mut String, race: &Race, bottom: f64) {
-    for (x, color, label) in [
-        (16.0, ONE, "one thread, processor time".to_owned()),
-        (230.0, ALL, format!("{} threads, wall time", race.threads)),
-    ] {
-        let _ = write!(
-            svg,
-            "<rect x=\"{x}\" y=\"48\" width=\"14\" height=\"12\" fill=\"{color}\"/>\
-             <text x=\"{}\" y=\"58\">{label}</text>",
-            x + 20.0
-        );
-    }
+fn notes(svg: &mut Svg, race: &Race, bottom: f64) {
+    let all = format!("{} threads, wall time", race.threads);
+    let marks = [
+        (Mark::Area, ONE, "one thread, processor time"),
+        (Mark::Area, ALL, &all),
+    ];
+    legend(svg, [16.0, 58.0], [230.0, 0.0], &marks);
     let lines = [
         format!(
             "Bars are medians of {} rounds in which all took turns; black lines reach from quartile to quartile. \
@@ -224,8 +187,7 @@ fn legend(svg: &mut String, race: &Race, bottom: f64) {
     ];
     let late = out_of_time(race);
     for (i, line) in lines.iter().chain(&late).enumerate() {
-        let (y, line) = (bottom + 26.0 + LINE * i as f64, escaped(line));
-        let _ = write!(svg, "<text x=\"16\" y=\"{y}\" fill=\"#444\">{line}</text>");
+        svg.text([16.0, bottom + 26.0 + LINE * i as f64], "fill='#444'", line);
     }
 }
 
@@ -238,8 +200,4 @@ fn short(value: f64) -> String {
         _ => 3,
     };
     format!("{value:.digits$}")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
 }

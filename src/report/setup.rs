@@ -1,15 +1,18 @@
 //! The sensor drawn with the part, to scale: along the laser line, where one sees
 //! the triangulation, and across it, where one sees the fan.
 
+use super::axes::round_step;
 use super::color::Rgb;
-use super::page::data_url;
 use super::picture::{ParallelView, part_picture};
+use super::svg::Svg;
 use crate::accel::Accel;
 use crate::camera::Camera;
 use crate::inspect::coverage::HeadPose;
 use crate::laser::Laser;
 use crate::math::{DVec2, DVec3};
-use std::fmt::Write;
+
+/// Longer side of what is drawn, px.
+const LONGEST: f64 = 600.0;
 
 /// What is drawn, all in the part's frame.
 pub struct Setup<'a> {
@@ -56,58 +59,45 @@ impl Setup<'_> {
         for &p in path.iter().chain([&aperture, &eye]) {
             (low, high) = (low.min(p), high.max(p));
         }
-        let unit = (high - low).max_element() / 60.0;
-        low -= 6.0 * unit;
-        // Room for names to the right of what they name.
-        high += DVec2::new(10.0, 6.0) * unit;
-        let size = high - low;
-        let mut svg = format!(
-            "<svg class=\"setup\" viewBox=\"{:.3} {:.3} {:.3} {:.3}\" role=\"img\" \
-             aria-label=\"the sensor and the part\" font-size=\"{:.3}\">\
-             <image href=\"{}\" x=\"{:.3}\" y=\"{:.3}\" width=\"{:.3}\" height=\"{:.3}\"/>",
-            low.x,
-            low.y,
-            size.x,
-            size.y,
-            1.6 * unit,
-            data_url(&part.png),
-            part.left,
-            part.top,
-            part.width,
-            part.height
-        );
-        let depth = part.top + part.height;
-        self.rays(&mut svg, &flat, depth, unit);
-        let thin = 0.12 * unit;
+        let px_per_mm = LONGEST / (high - low).max_element();
+        let place = |p: DVec2| (px_per_mm * (p - low)).to_array();
+        let [width, height] = place(high);
+        // Around it, room for names to the right of what they name.
+        let view = [-60.0, -60.0, width + 160.0, height + 120.0];
+        let style = "class='setup' font-size='16'";
+        let mut svg = Svg::part(view, style, "the sensor and the part");
+        let [x, y] = place(DVec2::new(part.left, part.top));
+        let size = [part.width, part.height].map(|mm| px_per_mm * mm);
+        svg.image([x, y, size[0], size[1]], &part.png);
+        self.rays(&mut svg, &|p| flat(p), &place, part.top + part.height);
         if path.len() > 1 {
-            let _ = write!(
-                svg,
-                "<polyline points=\"{}\" fill=\"none\" stroke=\"#555\" stroke-width=\"{thin:.3}\" \
-                 stroke-dasharray=\"{:.3}\"/>",
-                points(&path),
-                0.5 * unit
-            );
+            let style = "stroke='#555' stroke-width='1.2' stroke-dasharray='5'";
+            svg.polyline(path.iter().map(|&p| place(p)), style);
         }
         for (at, color, name) in [(aperture, "#c00", "laser"), (eye, "#06c", "camera")] {
-            let _ = write!(
-                svg,
-                "<circle cx=\"{:.3}\" cy=\"{:.3}\" r=\"{:.3}\" fill=\"{color}\"/>\
-                 <text x=\"{:.3}\" y=\"{:.3}\" fill=\"{color}\">{name}</text>",
-                at.x,
-                at.y,
-                0.7 * unit,
-                at.x + unit,
-                at.y - 0.8 * unit
-            );
+            let fill = format!("fill='{color}'");
+            let [x, y] = place(at);
+            svg.circle([x, y], 7.0, &fill);
+            svg.text([x + 10.0, y - 8.0], &fill, name);
         }
-        self.scale(&mut svg, low, high, unit);
-        svg.push_str("</svg>");
-        svg
+        // A bar of a round length.
+        let mm = round_step(view[2] / px_per_mm, 8.0);
+        let [x, y] = [view[0] + 10.0, view[1] + view[3] - 10.0];
+        let end = [x + px_per_mm * mm, y];
+        svg.line([x, y], end, "stroke='#222' stroke-width='3'");
+        svg.text([x, y - 8.0], "", &format!("{mm} mm"));
+        svg.finish()
     }
 
     /// The beam down to `depth`, the camera's field of view to the laser plane, and
     /// the part of that plane both share.
-    fn rays(&self, svg: &mut String, flat: &dyn Fn(DVec3) -> DVec2, depth: f64, unit: f64) {
+    fn rays(
+        &self,
+        svg: &mut Svg,
+        flat: &dyn Fn(DVec3) -> DVec2,
+        place: &dyn Fn(DVec2) -> [f64; 2],
+        depth: f64,
+    ) {
         let laser = &self.pose.part_from_laser;
         let (source, beam) = (flat(laser.translation), flat(laser.rotation.z_axis));
         let reach = (depth - source.y).max(0.0) / beam.y.max(1e-9);
@@ -116,12 +106,9 @@ impl Setup<'_> {
             let direction = DVec3::new(phi.tan(), 0.0, 1.0);
             flat(laser.point(direction * reach))
         });
-        let _ = write!(
-            svg,
-            "<polygon points=\"{}\" fill=\"#f00\" fill-opacity=\".18\" stroke=\"#c00\" \
-             stroke-width=\"{:.3}\"/>",
-            points(&[source, ends[0], ends[1]]),
-            0.15 * unit
+        svg.polygon(
+            [source, ends[0], ends[1]].map(place),
+            "fill='#f00' fill-opacity='.18' stroke='#c00' stroke-width='1.5'",
         );
         let camera = &self.pose.part_from_camera;
         let resolution = self.camera.sensor.resolution.as_dvec2();
@@ -134,53 +121,14 @@ impl Setup<'_> {
             // the standoff.
             let far = 4.0 * (laser.translation - camera.translation).length();
             let t = if t > 0.0 { t.min(far) } else { far };
-            flat(camera.translation + direction * t)
+            place(flat(camera.translation + direction * t))
         });
-        let eye = flat(camera.translation);
+        let eye = place(flat(camera.translation));
         for (i, &corner) in corners.iter().enumerate() {
-            let next = corners[(i + 1) % 4];
-            let _ = write!(
-                svg,
-                "<polygon points=\"{}\" fill=\"#06c\" fill-opacity=\".05\"/>\
-                 <line x1=\"{:.3}\" y1=\"{:.3}\" x2=\"{:.3}\" y2=\"{:.3}\" stroke=\"#06c\" \
-                 stroke-width=\"{:.3}\"/>",
-                points(&[eye, corner, next]),
-                eye.x,
-                eye.y,
-                corner.x,
-                corner.y,
-                0.08 * unit
-            );
+            let side = [eye, corner, corners[(i + 1) % 4]];
+            svg.polygon(side, "fill='#06c' fill-opacity='.05'");
+            svg.line(eye, corner, "stroke='#06c' stroke-width='.8'");
         }
-        let _ = write!(
-            svg,
-            "<polygon points=\"{}\" fill=\"none\" stroke=\"#093\" stroke-width=\"{:.3}\"/>",
-            points(&corners),
-            0.25 * unit
-        );
+        svg.polygon(corners, "fill='none' stroke='#093' stroke-width='2.5'");
     }
-
-    /// A bar of a round length.
-    fn scale(&self, svg: &mut String, low: DVec2, high: DVec2, unit: f64) {
-        let about = (high.x - low.x) / 5.0;
-        let power = 10f64.powf(about.log10().floor());
-        let round = [5.0, 2.0, 1.0].map(|n| n * power);
-        let length = *round.iter().find(|&&l| l <= about).unwrap_or(&power);
-        let (x, y) = (low.x + unit, high.y - unit);
-        let _ = write!(
-            svg,
-            "<path d=\"M{x:.3} {y:.3}h{length:.3}\" stroke=\"#222\" stroke-width=\"{:.3}\"/>\
-             <text x=\"{x:.3}\" y=\"{:.3}\" fill=\"#222\">{length} mm</text>",
-            0.3 * unit,
-            y - 0.8 * unit
-        );
-    }
-}
-
-fn points(of: &[DVec2]) -> String {
-    let mut text = String::new();
-    for p in of {
-        let _ = write!(text, "{:.3},{:.3} ", p.x, p.y);
-    }
-    text
 }

@@ -2,7 +2,7 @@
 //! canvas, drawn by a script of the report's own.
 
 use super::color::Rgb;
-use super::page::base64;
+use super::picture::base64;
 use crate::math::{Aabb, DVec3};
 use std::fmt::Write;
 

@@ -4,11 +4,10 @@ use crate::camera::Counts;
 use crate::error::{Error, InputError, Place, Result};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::report::picture::encode_for_eyes;
+use crate::report::svg::Svg;
 use crate::run::{Control, files};
-use base64::Engine;
 use image::{DynamicImage, ImageFormat};
 use serde::Serialize;
-use std::fmt::Write;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -164,46 +163,33 @@ const COLORS: [&str; 4] = ["#ff5040", "#40a0ff", "#30d060", "#ffc000"];
 fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
     let (columns, rows) = (image.counts.columns(), image.counts.rows());
     let png = encode_for_eyes(&image.counts.to_rows(), columns, image.max_count);
-    let base64 = base64::engine::general_purpose::STANDARD.encode(png);
     let (width, height, turn) = match image.line_along {
-        LineAlong::Columns => (columns, rows, "1 0 0 1 0 0"),
-        LineAlong::Rows => (rows, columns, "0 1 1 0 0 0"),
+        LineAlong::Columns => (columns as f64, rows as f64, ""),
+        LineAlong::Rows => (rows as f64, columns as f64, "matrix(0 1 1 0 0 0)"),
     };
-    let size = width as f64 / 60.0;
-    let top = -3.0 * size;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 {top:.1} {width} {:.1}\" \
-         font-family=\"sans-serif\" font-size=\"{size:.1}\">\
-         <rect y=\"{top:.1}\" width=\"100%\" height=\"100%\" fill=\"white\"/>",
-        height as f64 - top,
-    );
-    let mut points = String::new();
+    let size = width / 60.0;
+    let head = 3.0 * size;
+    let mut svg = Svg::file([width, height + head], size);
     for (k, (finder, peaks)) in lines.iter().enumerate() {
-        let (x, color) = (size * (1.0 + 14.0 * k as f64), COLORS[k]);
-        let _ = write!(
-            svg,
-            "<circle cx=\"{x:.1}\" cy=\"{:.1}\" r=\"{:.1}\" fill=\"{color}\"/>\
-             <text x=\"{:.1}\" y=\"{:.1}\">{}: {} points</text>",
-            -1.5 * size,
-            size / 3.0,
-            x + size * 0.7,
-            -1.15 * size,
-            name(*finder),
-            peaks.len(),
-        );
-        let _ = write!(points, "<g fill=\"{color}\">");
-        for p in peaks {
-            let (x, r) = (p.column as f64 + 0.5, width as f64 / 900.0);
-            let _ = write!(
-                points,
-                "<circle cx=\"{x}\" cy=\"{:.2}\" r=\"{r:.2}\"/>",
-                p.row
-            );
-        }
-        points.push_str("</g>");
+        let x = size * (1.0 + 14.0 * k as f64);
+        let fill = format!("fill='{}'", COLORS[k]);
+        svg.circle([x, head - 1.5 * size], size / 3.0, &fill);
+        let label = format!("{}: {} points", name(*finder), peaks.len());
+        svg.text([x + size * 0.7, head - 1.15 * size], "", &label);
     }
-    svg + &format!(
-        "<g transform=\"matrix({turn})\"><image width=\"{columns}\" height=\"{rows}\" \
-         href=\"data:image/png;base64,{base64}\"/>{points}</g></svg>\n"
-    )
+    svg.group(
+        &format!("transform='translate(0 {head}) {turn}'"),
+        "",
+        |svg| {
+            svg.image([0.0, 0.0, columns as f64, rows as f64], &png);
+            for ((_, peaks), color) in lines.iter().zip(COLORS) {
+                svg.group(&format!("fill='{color}'"), "", |svg| {
+                    for p in peaks {
+                        svg.circle([p.column as f64 + 0.5, p.row], width / 900.0, "");
+                    }
+                });
+            }
+        },
+    );
+    svg.finish()
 }

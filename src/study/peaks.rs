@@ -4,14 +4,14 @@
 use super::synthetic::{BLACK, Condition, MAX_COUNT, PHASES};
 use crate::error::Result;
 use crate::profile::{PeakFinder, PeakSettings, find_peaks};
-use crate::report::plot::Panel;
+use crate::report::axes::{Axes, Axis, Mark, legend};
+use crate::report::svg::Svg;
 use crate::run::{Control, files};
 use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::pattern::PatternSpec;
 use crate::speckle::theory::centroid_noise;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// `peaks.json`.
@@ -61,14 +61,14 @@ const BASE: Condition = Condition {
 const TRIALS: usize = 300;
 
 /// An axis of the chart: its names, its values, and the condition for a value.
-type Axis = (
+type Variation = (
     &'static str,
     &'static str,
     &'static [f64],
     fn(f64) -> Condition,
 );
 
-const AXES: [Axis; 5] = [
+const AXES: [Variation; 5] = [
     (
         "Width",
         "σ of the line, px",
@@ -237,57 +237,55 @@ fn spread(
 }
 
 const COLORS: [&str; 4] = ["#c0392b", "#2471a3", "#1e8449", "#b7950b"];
+const LAW: &str = "stroke='#333' stroke-width='1.6' stroke-dasharray='5 3'";
 
 fn drawing(chart: &PeakChart) -> String {
-    const WIDTH: f64 = 205.0;
-    const HEIGHT: f64 = 190.0;
-    let mut svg = String::from(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 1370 660\" \
-         font-family=\"sans-serif\" font-size=\"12\"><rect width=\"100%\" height=\"100%\" \
-         fill=\"white\"/><text x=\"60\" y=\"26\" font-size=\"17\" font-weight=\"bold\">How far \
-         off each way to find the laser line is</text>",
-    );
-    for (k, name) in NAMES.into_iter().enumerate() {
-        let x = 60.0 + 175.0 * k as f64;
-        let _ = write!(
-            svg,
-            "<circle cx=\"{x}\" cy=\"48\" r=\"5\" fill=\"{}\"/><text x=\"{}\" y=\"52\">{name}</text>",
-            COLORS[k],
-            x + 10.0
-        );
-    }
-    let _ = write!(
-        svg,
-        "<path d=\"M760 48h26\" stroke=\"#333\" stroke-width=\"1.6\" stroke-dasharray=\"5 3\"/>\
-         <text x=\"792\" y=\"52\">law of speckle for the centroid, 0.39·√(hσ), pixels ≪ h</text>"
-    );
+    let mut svg = Svg::file([1390.0, 690.0], 12.0);
+    let title = "How far off each way to find the laser line is";
+    svg.text([60.0, 26.0], "font-size='17' font-weight='bold'", title);
+    let fills = COLORS.map(|color| format!("fill='{color}'"));
+    let mut marks: Vec<_> = (0..4)
+        .map(|k| (Mark::Dot, &fills[k][..], NAMES[k]))
+        .collect();
+    marks.push((
+        Mark::Line,
+        LAW,
+        "law of speckle for the centroid, 0.39·√(hσ), pixels ≪ h",
+    ));
+    legend(&mut svg, [60.0, 52.0], [175.0, 0.0], &marks);
     for (column, axis) in chart.axes.iter().enumerate() {
+        let values: Vec<String> = axis.values.iter().map(f64::to_string).collect();
         for (row, (what, of)) in QUANTITIES.into_iter().enumerate() {
-            let panel = Panel {
-                frame: [
-                    60.0 + 265.0 * column as f64,
-                    95.0 + 270.0 * row as f64,
-                    WIDTH,
-                    HEIGHT,
-                ],
+            let left = 70.0 + 265.0 * column as f64;
+            let panel = Axes {
+                frame: [left, 95.0 + 280.0 * row as f64, 205.0, 190.0],
+                beyond: [0.0; 2],
                 title: &format!("{}: {what}, px", axis.title),
-                x_title: axis.quantity,
-                x: &axis.values,
-                y_powers: (-4, 0),
+                x: Axis::named(axis.quantity, &values),
+                y: Axis::logarithmic("", [1e-4, 1.0]),
             };
-            panel.axes(&mut svg);
+            panel.draw(&mut svg);
             for (k, (_, errors)) in axis.finders.iter().enumerate() {
-                let values: Vec<_> = errors.iter().map(|e| e.as_ref().map(of)).collect();
-                panel.curve(&mut svg, &values, COLORS[k], "");
+                let value =
+                    |(i, e): (usize, &Option<FinderError>)| Some((i as f64, of(e.as_ref()?)));
+                let found: Vec<_> = errors.iter().enumerate().filter_map(value).collect();
+                let style = format!("stroke='{}' stroke-width='1.6'", COLORS[k]);
+                // A place where the finder finds nothing interrupts its curve.
+                for run in found.chunk_by(|a, b| b.0 == a.0 + 1.0) {
+                    panel.curve(&mut svg, run.iter().copied(), &style);
+                }
+                for (x, y) in found {
+                    svg.circle(panel.at(x, y), 2.6, &fills[k]);
+                }
             }
             if let (1, Some(law)) = (row, &axis.speckle_law_px) {
-                let law: Vec<_> = law.iter().map(|&y| Some(y)).collect();
-                panel.curve(&mut svg, &law, "#333", "5 3");
+                let law = law.iter().enumerate().map(|(i, &y)| (i as f64, y));
+                panel.curve(&mut svg, law, LAW);
             }
         }
     }
     caption(&mut svg);
-    svg + "</svg>\n"
+    svg.finish()
 }
 
 const NAMES: [&str; 4] = [
@@ -302,7 +300,7 @@ const QUANTITIES: [Quantity; 2] = [("bias", |e| e.bias_px), ("noise", |e| e.nois
 
 type Quantity = (&'static str, fn(&FinderError) -> f64);
 
-fn caption(svg: &mut String) {
+fn caption(svg: &mut Svg) {
     let lines = [
         format!(
             "Bias: mean error against the light's centre of gravity, rms over {PHASES} places in \
@@ -317,10 +315,6 @@ fn caption(svg: &mut String) {
         ),
     ];
     for (i, line) in lines.iter().enumerate() {
-        let _ = write!(
-            svg,
-            "<text x=\"60\" y=\"{}\" fill=\"#444\">{line}</text>",
-            620 + 18 * i
-        );
+        svg.text([60.0, 645.0 + 18.0 * i as f64], "fill='#444'", line);
     }
 }

@@ -3,15 +3,14 @@
 use crate::error::Result;
 use crate::math::DVec2;
 use crate::report::picture::encode_for_eyes;
+use crate::report::svg::Svg;
 use crate::run::{Control, files};
 use crate::speckle::coordinate::Coordinate;
 use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::pattern::{PatternSpec, PhasorPlane};
 use crate::speckle::statistics::{SpeckleStatistics, measure};
-use base64::Engine;
 use exr::prelude::FlatSamples;
 use serde::Serialize;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -99,13 +98,7 @@ fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
     let lookup = Lookup::new(&spec, Method::Field, Coherence::FULL)?;
     let magnification = FOCAL_LENGTH / (TARGET - FOCAL_LENGTH);
     let width = SIDE as f64 * 1.15;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {:.0} {}\" \
-         font-family=\"sans-serif\" font-size=\"17\"><rect width=\"100%\" height=\"100%\" \
-         fill=\"white\"/>",
-        2.0 * width,
-        SIDE + 100
-    );
+    let mut svg = Svg::file([2.0 * width, SIDE as f64 + 100.0], 17.0);
     let mut grains = Vec::new();
     for (i, f_number) in F_NUMBERS.into_iter().enumerate() {
         let h = WAVELENGTH * f_number * (1.0 + magnification);
@@ -126,33 +119,31 @@ fn picture(path: &Path, seed: u64) -> Result<Vec<Grain>> {
         panel(&mut svg, (i as f64 + 0.065) * width, &intensity, &grain);
         grains.push(grain);
     }
-    svg.push_str("</svg>\n");
-    files::write_bytes(path, svg.as_bytes())?;
+    files::write_bytes(path, svg.finish().as_bytes())?;
     Ok(grains)
 }
 
-fn panel(svg: &mut String, x: f64, intensity: &[f64], grain: &Grain) {
+fn panel(svg: &mut Svg, x: f64, intensity: &[f64], grain: &Grain) {
     // Of exponential intensities with mean 1, 2 % exceed 4.
     let counts: Vec<u16> = intensity
         .iter()
         .map(|i| (i / 4.0 * 65535.0).min(65535.0) as u16)
         .collect();
     let png = encode_for_eyes(&counts, SIDE, u16::MAX);
-    let base64 = base64::engine::general_purpose::STANDARD.encode(png);
-    let _ = write!(
-        svg,
-        "<image x=\"{x:.0}\" y=\"16\" width=\"{SIDE}\" height=\"{SIDE}\" \
-         href=\"data:image/png;base64,{base64}\"/>\
-         <text x=\"{x:.0}\" y=\"{}\">{FOCAL_LENGTH} mm, f/{}: h = {:.1} µm ({:.2} mm of sensor shown)</text>\
-         <text x=\"{x:.0}\" y=\"{}\">grain (FWHM of autocovariance): {:.1} µm measured, {:.1} µm in theory</text>",
-        SIDE + 44,
+    let side = SIDE as f64;
+    svg.image([x, 16.0, side, side], &png);
+    let lens = format!(
+        "{FOCAL_LENGTH} mm, f/{}: h = {:.1} µm ({:.2} mm of sensor shown)",
         grain.f_number,
         grain.h_um,
-        SIDE as f64 * STEP,
-        SIDE + 70,
-        grain.fwhm_um,
-        grain.fwhm_theory_um
+        side * STEP
     );
+    svg.text([x, side + 44.0], "", &lens);
+    let found = format!(
+        "grain (FWHM of autocovariance): {:.1} µm measured, {:.1} µm in theory",
+        grain.fwhm_um, grain.fwhm_theory_um
+    );
+    svg.text([x, side + 70.0], "", &found);
 }
 
 /// Lag (samples) at which the autocovariance has fallen to half, mean of both

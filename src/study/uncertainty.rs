@@ -1,10 +1,11 @@
 //! Monte Carlo over seeds: the scatter of a frame's lines beside what is predicted.
 
 use crate::error::Result;
-use crate::inspect::uncertainty::{ColumnUncertainty, drawing};
+use crate::inspect::uncertainty::ColumnUncertainty;
 use crate::math::DVec2;
 use crate::profile::{Calibration, Peak};
 use crate::report::chart::short;
+use crate::report::uncertainty_plot::uncertainty_plot;
 use crate::run::simulation::Simulation;
 use crate::run::{Control, check_frame, files};
 use crate::scene::Scene;
@@ -93,7 +94,7 @@ pub fn monte_carlo(
             .collect(),
         picture: out.join("uncertainty.svg"),
     };
-    let svg = drawing(
+    let svg = uncertainty_plot(
         &summary.columns,
         columns,
         summary.headline().each_ref().map(|l| &l[..]),
