@@ -28,7 +28,9 @@ use glam::DMat2;
 /// A lens with a sensor behind it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Camera {
+    /// Projection, focus and pupil.
     pub lens: Lens,
+    /// What light becomes counts on.
     pub sensor: Sensor,
     /// Scheimpflug tilt of the sensor about the camera's x axis, then about its y
     /// axis, rad. A positive tilt about x brings the object side of high rows into

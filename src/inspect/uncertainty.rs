@@ -8,6 +8,7 @@ use std::fmt::Write;
 /// What many seeds say of one column.
 #[derive(Debug, Clone, Serialize)]
 pub struct ColumnUncertainty {
+    /// Column of the image.
     pub column: u32,
     /// Row of the line without speckle and noise, px.
     pub true_row_px: f64,

@@ -24,8 +24,10 @@ pub struct Illumination {
     pub aperture_point: DVec3,
 }
 
+/// A laser in its own frame: a spot, or a line if it has a fan.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Laser {
+    /// Its section across the axis, before any fan.
     pub beam: Beam,
     /// `None` for a point laser.
     pub fan: Option<Fan>,
@@ -35,7 +37,9 @@ pub struct Laser {
 /// `curvature_per_mm` = ∂(direction)/∂x (symmetric) is 1/R along its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wavefront {
+    /// Unit vector.
     pub direction: DVec3,
+    /// 1/mm, symmetric; zero for a plane wave.
     pub curvature_per_mm: DMat3,
 }
 

@@ -6,16 +6,20 @@ use glam::{DMat3, DQuat, DVec3, EulerRot};
 /// Rotation followed by translation (mm).
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Rigid {
+    /// Orthonormal, of determinant +1.
     pub rotation: DMat3,
+    /// mm.
     pub translation: DVec3,
 }
 
 impl Rigid {
+    /// Nothing turned, nothing moved.
     pub const IDENTITY: Rigid = Rigid {
         rotation: DMat3::IDENTITY,
         translation: DVec3::ZERO,
     };
 
+    /// A motion without rotation, mm.
     pub fn translation(translation: DVec3) -> Rigid {
         Rigid {
             rotation: DMat3::IDENTITY,
@@ -56,14 +60,17 @@ impl Rigid {
         })
     }
 
+    /// A point's coordinates (mm) in the frame to the left of "from".
     pub fn point(&self, p: DVec3) -> DVec3 {
         self.rotation * p + self.translation
     }
 
+    /// A vector's; it is turned but not moved.
     pub fn vector(&self, v: DVec3) -> DVec3 {
         self.rotation * v
     }
 
+    /// `a_from_b` becomes `b_from_a`.
     pub fn inverse(&self) -> Rigid {
         let rotation = self.rotation.transpose();
         Rigid {

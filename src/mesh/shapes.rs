@@ -18,6 +18,7 @@ const MOST_VERTICES: f64 = 4e6;
 pub struct WrongSize {
     /// As the keys of scene files: `radius_mm`.
     pub argument: &'static str,
+    /// What it must be, in words.
     pub expected: String,
 }
 

@@ -36,9 +36,12 @@ pub type Parameters = [f64; PARAMETERS.len()];
 /// Row by row, in products of the parameters' units.
 pub type Covariance = [Parameters; PARAMETERS.len()];
 
+/// What turns a peak into a point: camera, its place in the head, and the laser plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
+    /// Camera without its sensor.
     pub camera: CameraModel,
+    /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
     /// A point of the laser plane, camera frame, mm.
     pub plane_point: DVec3,

@@ -7,7 +7,9 @@ use std::fmt::Write;
 pub struct Panel<'a> {
     /// Left, top, width, height, px.
     pub frame: [f64; 4],
+    /// Heading.
     pub title: &'a str,
+    /// Name of the horizontal axis, with its unit.
     pub x_title: &'a str,
     /// Ticks in their order; they stand at equal distances, whatever their values.
     pub x: &'a [f64],

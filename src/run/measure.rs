@@ -21,6 +21,7 @@ use std::ops::Range;
 const WALL: f64 = 0.15;
 
 impl Simulation {
+    /// How peaks are found in this scene's images.
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..

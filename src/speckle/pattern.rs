@@ -38,9 +38,11 @@ pub struct PatternSpec {
     /// N/d, texels per minimal speckle size; at least 2, where the intensity
     /// is sampled at its Nyquist rate.
     pub texels_per_speckle: f64,
+    /// Shape of the pupil whose speckle it is.
     pub aperture: Aperture,
     /// Correlation slices along the closed path; a power of two.
     pub slices: usize,
+    /// Of the phasors' phases.
     pub seed: u64,
 }
 
@@ -111,6 +113,7 @@ pub(super) fn refuse(key: &str, found: String, expected: &str) -> Result<()> {
 /// Complex speckle field over one period, N × N, row t, column s.
 #[derive(Debug, Clone)]
 pub struct Pattern {
+    /// N, texels along each side.
     pub size: usize,
     /// Amplitudes A(s,t); |A|² has mean 1.
     pub field: Vec<Complex32>,
@@ -122,6 +125,7 @@ pub struct Pattern {
 }
 
 impl Pattern {
+    /// |field|² row by row; its mean over the period is about 1.
     pub fn intensity(&self) -> impl Iterator<Item = f32> + '_ {
         self.field.iter().map(Complex32::norm_sqr)
     }
