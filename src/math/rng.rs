@@ -19,7 +19,7 @@ pub enum Purpose {
     Calibration = 7,
     /// Rays of `bench-bvh`.
     RaceRays = 16,
-    /// Boxes of tests of the hierarchy.
+    /// What each box of the tree in Rust is widened by.
     BoxPadding = 17,
     /// Places at which the plan looks at frames.
     PlanRays = 18,

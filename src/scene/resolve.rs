@@ -106,6 +106,21 @@ impl Scene {
 
     /// The same of a scene given as text (TOML), whose files are sought in `folder`.
     /// Messages call it `scene text` there.
+    ///
+    /// ```
+    /// use lasertrace::{Error, Scene};
+    ///
+    /// let text = include_str!("../../scenes/plane/scene.toml");
+    /// let scene = Scene::parse(text, "folder-of-its-files".as_ref())?;
+    /// assert_eq!((scene.scan.frames, scene.mesh.triangles.len()), (9, 2));
+    ///
+    /// let wrong = text.replace("f_number = 8", "f_number = 0");
+    /// let Err(Error::Input(mistake)) = Scene::parse(&wrong, "".as_ref()) else {
+    ///     panic!("a lens needs an aperture");
+    /// };
+    /// assert_eq!(mistake.key.as_deref(), Some("camera.f_number"));
+    /// # Ok::<(), Error>(())
+    /// ```
     pub fn parse(text: &str, folder: &Path) -> Result<Scene> {
         let path = folder.join("scene text");
         let source = Source::parse(&path, text.to_owned())?;
