@@ -143,7 +143,7 @@ impl Clusters {
     /// Reports every triangle that may touch all of `volume` (at most 32
     /// half-spaces), each at most once and in a fixed order. Groups whose box has
     /// a diagonal below `detail` (mm) are reported as a ball around them, and up to
-    /// [`WITHIN`] times that if the ball lies within the volume.
+    /// `WITHIN` times that if the ball lies within the volume.
     pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(Found)) {
         assert!(volume.len() <= 32, "{} half-spaces", volume.len());
         let planes = volume.iter().map(|half| Plane {
