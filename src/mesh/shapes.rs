@@ -41,7 +41,8 @@ pub fn plane(size: DVec2) -> Result<Mesh, WrongSize> {
 /// use lasertrace::mesh::shapes;
 ///
 /// let ball = shapes::sphere(5.0, 0.01)?;
-/// assert!(ball.positions.iter().all(|p| (p.length() - 5.0).abs() < 0.011));
+/// // All vertices lie on it, but for rounding.
+/// assert!(ball.positions.iter().all(|p| (p.length() - 5.0).abs() < 1e-14));
 /// assert_eq!(shapes::sphere(0.0, 0.01).unwrap_err().argument, "radius_mm");
 /// # Ok::<(), shapes::WrongSize>(())
 /// ```
