@@ -7,6 +7,7 @@ use printable::{path, short};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+/// What a function of this library gives back if it may fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// Where in an input file a mistake was found.
@@ -23,12 +24,15 @@ pub enum Place {
 /// A mistake in a scene or mesh file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputError {
+    /// The file that is wrong.
     pub file: PathBuf,
+    /// Where in the file.
     pub place: Place,
     /// Dotted key in a scene file (`camera.f_number`); `None` in a mesh.
     pub key: Option<String>,
     /// Empty: a key that must be there is not.
     pub found: String,
+    /// What should stand there.
     pub expected: String,
     /// What was probably meant.
     pub hint: Option<String>,
@@ -76,6 +80,7 @@ impl fmt::Display for InputError {
     }
 }
 
+/// What can go wrong: each message says what was found and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The command line asks for something that cannot be done.
@@ -87,8 +92,11 @@ pub enum Error {
     /// The file system refused.
     #[error("cannot {action} {}: {source}", path(file))]
     Io {
+        /// What was to be done, after "cannot": "read", "write".
         action: &'static str,
+        /// With what.
         file: PathBuf,
+        /// What the system says.
         source: std::io::Error,
     },
     /// Embree failed.
@@ -97,7 +105,9 @@ pub enum Error {
     /// A journal to be resumed is of another run.
     #[error("{} is of another run: {difference}", path(journal))]
     OtherRun {
+        /// The journal's file.
         journal: PathBuf,
+        /// What the two runs do not have in common.
         difference: String,
     },
     /// The machine has too little memory.
@@ -111,6 +121,7 @@ pub enum Error {
         work: String,
         /// Bytes.
         need: u64,
+        /// Free memory, bytes.
         available: u64,
     },
     /// The system gave no memory or no thread, though there seemed to be enough.

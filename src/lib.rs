@@ -44,12 +44,13 @@
 //!      ───────┴────── surface ────────────
 //! ```
 
-// A library does not speak, and does not end the program.
+// A library does not speak, and does not end the program; every public item says what it is.
 #![warn(
     clippy::dbg_macro,
     clippy::exit,
     clippy::print_stderr,
-    clippy::print_stdout
+    clippy::print_stdout,
+    missing_docs
 )]
 
 pub mod accel;

@@ -32,6 +32,27 @@ struct Met {
 
 impl Accel {
     /// [`Self::build_with`] the default backend: Embree if it is built in.
+    ///
+    /// ```
+    /// use lasertrace::accel::{Accel, Ray};
+    /// use lasertrace::math::{DVec2, DVec3};
+    /// use lasertrace::mesh::shapes;
+    /// use std::sync::Arc;
+    ///
+    /// let square = shapes::plane(DVec2::new(10.0, 10.0)).expect("a size above 0");
+    /// let accel = Accel::build(&Arc::new(square), 1)?;
+    /// let ray = Ray {
+    ///     origin: DVec3::new(2.0, 1.0, 5.0),
+    ///     direction: -DVec3::Z,
+    ///     t_max: f64::INFINITY,
+    /// };
+    /// let hit = accel.closest(&[ray], |_, _| true)[0].expect("it meets the square");
+    /// assert_eq!((hit.t, hit.normal), (5.0, DVec3::Z));
+    ///
+    /// let nearest = accel.nearest(DVec3::new(8.0, 1.0, 4.0), None);
+    /// assert_eq!((nearest.point, nearest.distance), (DVec3::new(5.0, 1.0, 0.0), 5.0));
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
     pub fn build(mesh: &Arc<Mesh>, threads: usize) -> Result<Accel> {
         Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
     }

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 pub struct HalfSpace {
     /// Unit, inward.
     pub normal: DVec3,
+    /// Distance of the plane from the origin along `-normal`, mm.
     pub offset: f64,
 }
 
@@ -51,9 +52,19 @@ impl HalfSpace {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Found {
     /// A triangle. Bit i of `crossed` is unset if all of it is inside half-space i.
-    Triangle { face: Face, crossed: u32 },
+    Triangle {
+        /// Which one.
+        face: Face,
+        /// One bit a half-space, from the lowest.
+        crossed: u32,
+    },
     /// Several triangles at once: all lie in this ball.
-    Ball { center: DVec3, radius: f64 },
+    Ball {
+        /// mm, in the part's frame.
+        center: DVec3,
+        /// mm.
+        radius: f64,
+    },
 }
 
 /// Triangles of a leaf: eight box tests cost about as much as handling one.
@@ -100,6 +111,7 @@ struct Query<F> {
 }
 
 impl Clusters {
+    /// Clusters of the triangles of one mesh, in its own frame.
     pub fn new(mesh: &Mesh) -> Clusters {
         let bounds = mesh.bounds();
         let center = bounds.center();
@@ -131,7 +143,7 @@ impl Clusters {
     /// Reports every triangle that may touch all of `volume` (at most 32
     /// half-spaces), each at most once and in a fixed order. Groups whose box has
     /// a diagonal below `detail` (mm) are reported as a ball around them, and up to
-    /// [`WITHIN`] times that if the ball lies within the volume.
+    /// `WITHIN` times that if the ball lies within the volume.
     pub fn touching(&self, volume: &[HalfSpace], detail: f64, found: impl FnMut(Found)) {
         assert!(volume.len() <= 32, "{} half-spaces", volume.len());
         let planes = volume.iter().map(|half| Plane {

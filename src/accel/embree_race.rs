@@ -16,9 +16,11 @@ use std::sync::atomic::{AtomicIsize, Ordering};
 /// A ray as all who race take it.
 #[derive(Debug, Clone, Copy)]
 pub struct FlatRay {
+    /// mm.
     pub origin: [f32; 3],
     /// Of length 1.
     pub direction: [f32; 3],
+    /// End of the ray in lengths of its direction, positive.
     pub t_max: f32,
 }
 
@@ -27,10 +29,12 @@ pub struct FlatRay {
 pub struct FlatHit {
     /// Infinite if it met nothing.
     pub t: f32,
+    /// Number of the triangle; `u32::MAX` for a miss.
     pub triangle: u32,
 }
 
 impl FlatHit {
+    /// A ray that meets nothing.
     pub const NONE: FlatHit = FlatHit {
         t: f32::INFINITY,
         triangle: u32::MAX,
@@ -99,6 +103,7 @@ impl BareEmbree {
         }
     }
 
+    /// First hit of a ray; [`FlatHit::NONE`] if there is none.
     pub fn closest(&self, ray: &FlatRay) -> FlatHit {
         let mut packet = ffi::RTCRayHit {
             ray: BareEmbree::ray(ray),
@@ -118,6 +123,7 @@ impl BareEmbree {
         }
     }
 
+    /// Whether anything lies on the ray.
     pub fn occluded(&self, ray: &FlatRay) -> bool {
         let mut ray = BareEmbree::ray(ray);
         // SAFETY: as in `closest`.

@@ -36,8 +36,11 @@ pub const WIDTH: usize = 16;
 /// Half-line from `origin` along the unit vector `direction`, up to `t_max` mm.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
+    /// mm, in the part's frame.
     pub origin: DVec3,
+    /// Unit vector.
     pub direction: DVec3,
+    /// mm; may be infinite.
     pub t_max: f64,
 }
 
@@ -75,7 +78,9 @@ impl Face {
 pub struct Hit {
     /// Distance along the ray, mm.
     pub t: f64,
+    /// The triangle that was met.
     pub face: Face,
+    /// Where, mm, in the part's frame.
     pub point: DVec3,
     /// Unit normal of the triangle, on the side the ray came from.
     pub normal: DVec3,
@@ -84,7 +89,9 @@ pub struct Hit {
 /// The point of the part nearest to a query point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
+    /// The triangle it lies on.
     pub face: Face,
+    /// mm, in the part's frame.
     pub point: DVec3,
     /// Distance from the query point, mm.
     pub distance: f64,

@@ -30,10 +30,12 @@ impl Counts {
         }
     }
 
+    /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
+    /// Number of columns.
     pub fn columns(&self) -> usize {
         self.by_column.len() / self.rows
     }

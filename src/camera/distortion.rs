@@ -94,7 +94,7 @@ impl Distortion {
         }
     }
 
-    /// See [`Self::radius`].
+    /// See `radius`.
     pub fn covers(&self, x: DVec2) -> bool {
         x.length_squared() <= self.radius * self.radius
     }

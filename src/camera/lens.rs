@@ -4,6 +4,7 @@ use super::Distortion;
 use crate::math::Aperture;
 use std::f64::consts::PI;
 
+/// A thin lens, focused at one distance, and the tilted sensor behind it.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Lens {
     /// mm.
@@ -13,7 +14,9 @@ pub struct Lens {
     /// Distance along the axis of the plane in focus at the sensor's centre, mm;
     /// greater than the focal length.
     pub focus_distance: f64,
+    /// Shape of the pupil; speckle grains take it on.
     pub aperture: Aperture,
+    /// `None`: the lens is a pinhole's projection.
     pub distortion: Option<Distortion>,
 }
 

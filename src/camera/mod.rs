@@ -28,7 +28,9 @@ use glam::DMat2;
 /// A lens with a sensor behind it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Camera {
+    /// Projection, focus and pupil.
     pub lens: Lens,
+    /// What light becomes counts on.
     pub sensor: Sensor,
     /// Scheimpflug tilt of the sensor about the camera's x axis, then about its y
     /// axis, rad. A positive tilt about x brings the object side of high rows into
@@ -69,6 +71,20 @@ impl Camera {
     }
 
     /// See [`Projector::project`].
+    ///
+    /// ```
+    /// use lasertrace::Scene;
+    /// use lasertrace::math::{DVec2, DVec3};
+    ///
+    /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
+    /// let camera = &scene.camera;
+    /// let pixel = camera.project(DVec3::new(0.0, 0.0, 150.0)).expect("in front of it");
+    /// assert!((pixel - DVec2::new(320.0, 150.0)).length() < 1e-9);
+    /// // At 150 mm f = 50 mm images half as large: 1 mm is 100 pixels of 5 µm.
+    /// let beside = camera.project(DVec3::new(1.0, 0.0, 150.0)).expect("in front of it");
+    /// assert!((beside - pixel - DVec2::X * 100.0).length() < 1e-9);
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         self.model().project(point)
     }

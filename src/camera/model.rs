@@ -23,6 +23,7 @@ pub struct CameraModel {
     pub principal_point: DVec2,
     /// As in [`Camera`](super::Camera), rad.
     pub tilt: DVec2,
+    /// `None`: the lens is a pinhole's projection.
     pub distortion: Option<Distortion>,
 }
 

@@ -7,18 +7,24 @@ use rand_distr::{Distribution, StandardNormal, StandardUniform};
 /// h·c, in mJ·mm: the energy of a photon is this over its wavelength in mm.
 const PLANCK_TIMES_LIGHT_SPEED: f64 = 6.626_070_15e-34 * 299_792_458.0 * 1e6;
 
+/// A sensor of square pixels whose counts are linear in the light, up to full well.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Sensor {
     /// Columns, rows.
     pub resolution: UVec2,
     /// mm.
     pub pixel_pitch: f64,
+    /// Exposure time.
     pub exposure_ms: f64,
     /// Electrons per photon.
     pub quantum_efficiency: f64,
+    /// Counts per electron.
     pub gain_dn_per_e: f64,
+    /// Bits of a count: the highest is 2^`bit_depth` − 1.
     pub bit_depth: u32,
+    /// Electrons at which a pixel is full.
     pub full_well_e: f64,
+    /// Counts without light.
     pub black_level_dn: f64,
     /// `None`: counts are the rounded expectation.
     pub noise: Option<Noise>,
@@ -27,6 +33,7 @@ pub struct Sensor {
 /// Temporal noise: Poisson shot noise and Gaussian read noise.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Noise {
+    /// Standard deviation of read noise, electrons.
     pub read_noise_e: f64,
 }
 

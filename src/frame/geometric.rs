@@ -11,6 +11,7 @@ use std::f64::consts::FRAC_PI_2;
 /// The line as an ideal camera would find it in one column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinePoint {
+    /// Column of the image.
     pub column: u32,
     /// Row coordinate of the line at the column's centre.
     pub row: f64,

@@ -21,9 +21,15 @@ pub(super) struct Four {
 pub enum Grid {
     /// At the nodes of Gauss–Legendre quadrature along both sides, for integrals: of speckle as
     /// large as the pixel 2 × 2 keep what an even grid needs 4 × 4 for.
-    Gauss { per_side: u32 },
+    Gauss {
+        /// Nodes along each side of a pixel, at least 1.
+        per_side: u32,
+    },
     /// Evenly, also from pixel to pixel, for transforms.
-    Even { per_side: u32 },
+    Even {
+        /// Samples along each side of a pixel, at least 1.
+        per_side: u32,
+    },
 }
 
 impl Grid {

@@ -42,10 +42,12 @@ impl Irradiance {
         Irradiance::new(Rows::new(pixels), values)
     }
 
+    /// Columns of the sensor, dark ones too.
     pub fn columns(&self) -> usize {
         self.rows.pixels.columns
     }
 
+    /// Rows of the sensor, dark ones too.
     pub fn rows(&self) -> usize {
         self.rows.pixels.rows
     }

@@ -53,16 +53,23 @@ use crate::surface::Lambert;
 
 /// Everything one pose of the sensor depends on, in the part's frame.
 pub struct View<'a> {
+    /// Rays against the part.
     pub accel: &'a Accel,
+    /// How the part scatters light.
     pub surface: Lambert,
+    /// The source of light.
     pub laser: &'a Laser,
+    /// Where the laser stands.
     pub part_from_laser: Rigid,
+    /// Lens and sensor.
     pub camera: &'a Camera,
+    /// Where the camera stands.
     pub part_from_camera: Rigid,
     /// `None`: the light is taken as incoherent.
     pub speckle: Option<Speckle<'a>>,
     /// Where in a pixel light is sampled.
     pub grid: Grid,
+    /// Which samples are traced.
     pub sampling: Sampling,
     /// Beam radii at which light is taken to end, at most
     /// [`CUTOFF_RADII`](crate::laser::CUTOFF_RADII).

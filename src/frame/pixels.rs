@@ -27,6 +27,7 @@ pub struct Pixels {
 }
 
 impl Pixels {
+    /// The empty set on a sensor of so many columns and rows.
     pub fn none(resolution: UVec2) -> Pixels {
         let [columns, rows] = resolution.to_array().map(|n| n as usize);
         let words_per_row = columns.div_ceil(64);
@@ -38,12 +39,14 @@ impl Pixels {
         }
     }
 
+    /// All pixels of a sensor of so many columns and rows.
     pub fn all(resolution: UVec2) -> Pixels {
         let mut pixels = Pixels::none(resolution);
         pixels.insert_all();
         pixels
     }
 
+    /// Adds every pixel.
     pub fn insert_all(&mut self) {
         for row in 0..self.rows {
             self.insert(row, 0, self.columns - 1);

@@ -15,15 +15,18 @@ pub struct Strips {
     /// Where the pupil stands on the plane of phasors, and the direction of its way:
     /// diameters, along the sensor's columns and rows.
     pub pupil: DVec2,
+    /// Unit vector.
     pub along: DVec2,
     /// The view at which the laser's wavefront is taken, in the camera's frame.
     pub view: SurfaceView,
+    /// The two that the pupil lies across.
     pub strips: [Reference; 2],
 }
 
 /// A strip and the pose it refers to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reference {
+    /// Which one, and how it is weighted.
     pub strip: Strip,
     /// From where the part is, in the camera's frame, to where it was.
     pub then_from_now: Rigid,

@@ -13,7 +13,9 @@ use wide::f32x4;
 /// Speckle patterns, and how they lie over the sensor in one frame.
 #[derive(Clone)]
 pub struct Speckle<'a> {
+    /// Speckle intensities of mean 1.
     pub patterns: Patterns<'a>,
+    /// From places on the sensor to places in the pattern.
     pub map: GrainMap,
     /// a_I of the seed: displacement in the middle of an untilted sensor at which the
     /// pattern is read, (columns, rows), mm.
@@ -25,16 +27,21 @@ pub struct Speckle<'a> {
 pub enum Patterns<'a> {
     /// The field made for the frame's own place of the pupil.
     Frame {
+        /// Fields of the whole scan.
         fields: &'a FrameFields,
+        /// Where the frame's pupil stands on the plane of phasors.
         place: PupilPlace,
     },
     /// The same in strips, each read where the surface was seen in a pose of its own.
     Strips {
+        /// Fields of the whole scan.
         fields: &'a FrameFields,
+        /// Those of this frame.
         strips: Box<Strips>,
     },
     /// A ring of slices made beforehand.
     Ring {
+        /// The slices.
         lookup: &'a Lookup,
         /// u, in slices.
         slice: f64,

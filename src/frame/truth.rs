@@ -11,7 +11,9 @@ use rayon::prelude::*;
 pub struct Truth {
     /// Distance from the pupil centre along the camera's axis.
     pub depth: Vec<f32>,
+    /// Where the ray of the pixel's centre meets the part.
     pub position: Vec<[f32; 3]>,
+    /// Unit normal of the triangle, towards the camera.
     pub normal: Vec<[f32; 3]>,
     /// Of the mesh.
     pub triangle: Vec<u32>,
@@ -19,6 +21,7 @@ pub struct Truth {
     pub copy: Vec<u32>,
 }
 
+/// What the rays through the pixels' centres meet first.
 pub fn truth_layers(view: &View) -> Truth {
     let resolution = view.camera.sensor.resolution;
     let eye = view.part_from_camera.translation;

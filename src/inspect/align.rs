@@ -11,11 +11,15 @@ use serde::Serialize;
 /// The motion that brings a cloud onto the CAD.
 #[derive(Debug, Clone, Serialize)]
 pub struct Alignment {
+    /// Applied to a measured point it gives the aligned one.
     pub part_from_measured: Rigid,
     /// Root mean square distance to the CAD of the points that were fitted.
     pub rms_before_um: f64,
+    /// The same after the fit.
     pub rms_after_um: f64,
+    /// Points that were fitted.
     pub points_fitted: usize,
+    /// Steps that the fit took.
     pub iterations: u32,
     /// Motions, of six, that the cloud says nothing about (a plane slides along
     /// itself in three ways): they are left as they are.

@@ -21,7 +21,9 @@ pub struct CloudPoint {
     pub deviation_sigma: f64,
     /// Counts above background in the peak.
     pub intensity: f64,
+    /// Number of the frame it was measured in.
     pub frame: u32,
+    /// Column of the image it was found in.
     pub column: u32,
     /// What is doubtful about its peak.
     pub flags: Flags,

@@ -13,6 +13,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fate {
+    /// A point was found there.
     Measured,
     /// Lit and in view, but no point was found there: too dark, at grazing light
     /// for one.
@@ -26,6 +27,7 @@ pub enum Fate {
 }
 
 impl Fate {
+    /// All, in their order.
     pub const ALL: [Fate; 5] = [
         Fate::Measured,
         Fate::WeakSignal,
@@ -38,17 +40,23 @@ impl Fate {
 /// Laser and camera of a frame, in the part's frame.
 #[derive(Debug, Clone, Copy)]
 pub struct HeadPose {
+    /// Where the laser stands.
     pub part_from_laser: Rigid,
+    /// Where the camera stands.
     pub part_from_camera: Rigid,
 }
 
 /// A scan as coverage sees it.
 pub struct Scanned<'a> {
+    /// Rays against the part.
     pub accel: &'a Accel,
+    /// Its fan bounds what is lit.
     pub laser: &'a Laser,
+    /// Its sensor bounds what is in view.
     pub camera: &'a Camera,
     /// Of the frames from `first_frame` on.
     pub poses: &'a [HeadPose],
+    /// Number of the frame of `poses[0]`.
     pub first_frame: u32,
     /// In order of frames, then columns.
     pub points: &'a [CloudPoint],
@@ -66,6 +74,7 @@ pub struct SurfaceCoverage {
     /// Places that were looked at, spread evenly over the area: a share p is good
     /// to about √(p(1 − p)/samples).
     pub samples: usize,
+    /// Each place (mm, in the part's frame) and what became of it.
     #[serde(skip)]
     pub places: Vec<(DVec3, Fate)>,
 }

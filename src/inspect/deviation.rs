@@ -31,11 +31,17 @@ pub fn signed_distance(
 /// Statistics of signed deviations, µm.
 #[derive(Debug, Clone, Serialize)]
 pub struct DeviationStatistics {
+    /// Number of points.
     pub points: usize,
+    /// Arithmetic mean.
     pub mean_um: f64,
+    /// Standard deviation about the mean.
     pub std_um: f64,
+    /// Root mean square.
     pub rms_um: f64,
+    /// Least.
     pub min_um: f64,
+    /// Greatest.
     pub max_um: f64,
     /// (percentile, deviation).
     pub percentiles_um: Vec<(f64, f64)>,

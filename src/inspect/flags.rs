@@ -5,8 +5,11 @@ use crate::profile::Flags;
 
 /// Points that carry a flag.
 pub struct FlagCount {
+    /// The flag's name in outputs.
     pub name: &'static str,
+    /// What it says of a point, in words.
     pub meaning: &'static str,
+    /// How many points carry it.
     pub points: usize,
 }
 

@@ -6,6 +6,7 @@ use serde::Serialize;
 /// What many seeds say of one column.
 #[derive(Debug, Clone, Serialize)]
 pub struct ColumnUncertainty {
+    /// Column of the image.
     pub column: u32,
     /// Row of the line without speckle and noise, px.
     pub true_row_px: f64,

@@ -7,7 +7,9 @@ use std::f64::consts::PI;
 /// A Gaussian beam; lengths in mm, measured along the axis from the aperture.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Beam {
+    /// mm.
     pub wavelength: f64,
+    /// Power of the whole beam, mW.
     pub power_mw: f64,
     /// 1/e² radius of irradiance at the waist.
     pub waist_radius: f64,

@@ -14,10 +14,12 @@ pub enum FanProfile {
     Gaussian,
 }
 
+/// The opening of a beam to a line by a lens.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Fan {
     /// Full angle Φ, rad, in (0, π).
     pub angle: f64,
+    /// How power is spread over the angle.
     pub profile: FanProfile,
 }
 

@@ -24,8 +24,10 @@ pub struct Illumination {
     pub aperture_point: DVec3,
 }
 
+/// A laser in its own frame: a spot, or a line if it has a fan.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Laser {
+    /// Its section across the axis, before any fan.
     pub beam: Beam,
     /// `None` for a point laser.
     pub fan: Option<Fan>,
@@ -35,7 +37,9 @@ pub struct Laser {
 /// `curvature_per_mm` = ∂(direction)/∂x (symmetric) is 1/R along its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wavefront {
+    /// Unit vector.
     pub direction: DVec3,
+    /// 1/mm, symmetric; zero for a plane wave.
     pub curvature_per_mm: DMat3,
 }
 
@@ -65,6 +69,19 @@ pub const CUTOFF_RADII: f64 = 4.0;
 impl Laser {
     /// Light at `p` (laser frame). `None` behind the aperture, further than
     /// [`CUTOFF_RADII`] from the axis or sheet, or outside a uniform fan.
+    ///
+    /// ```
+    /// use lasertrace::Scene;
+    /// use lasertrace::math::DVec3;
+    ///
+    /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
+    /// // Across the sheet at its waist, 30 µm from the middle: exp(−2) of the flux there.
+    /// let flux = |y| scene.laser.at(DVec3::new(0.0, y, 150.0)).map(|light| light.flux);
+    /// let [middle, beside] = [0.0, 0.03].map(|y| flux(y).expect("lit").length());
+    /// assert!((beside / middle - (-2.0_f64).exp()).abs() < 1e-9);
+    /// assert!(flux(1.0).is_none());
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
     pub fn at(&self, p: DVec3) -> Option<Illumination> {
         let section = self.section(p)?;
         let r2 = self.off_middle(p).length_squared();

@@ -13,10 +13,12 @@
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Aperture {
+    /// A disc; its diameter is the pupil's.
     #[default]
     Circle,
     /// Height / width, above 0 and at most 1.
     Ellipse(f64),
+    /// A square; its side is the pupil's diameter.
     Square,
 }
 

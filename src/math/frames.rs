@@ -4,18 +4,34 @@
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 
 /// Rotation followed by translation (mm).
+///
+/// ```
+/// use lasertrace::math::{DVec3, Rigid};
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// let world_from_head = Rigid::from_euler_xyz(DVec3::Z * FRAC_PI_2, DVec3::new(0.0, 0.0, 7.0));
+/// let p = world_from_head.point(DVec3::X);
+/// assert!((p - DVec3::new(0.0, 1.0, 7.0)).length() < 1e-15);
+/// // And back: poses are multiplied as their names are read.
+/// let head_from_world = world_from_head.inverse();
+/// assert!(((head_from_world * world_from_head).point(DVec3::X) - DVec3::X).length() < 1e-14);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Rigid {
+    /// Orthonormal, of determinant +1.
     pub rotation: DMat3,
+    /// mm.
     pub translation: DVec3,
 }
 
 impl Rigid {
+    /// Nothing turned, nothing moved.
     pub const IDENTITY: Rigid = Rigid {
         rotation: DMat3::IDENTITY,
         translation: DVec3::ZERO,
     };
 
+    /// A motion without rotation, mm.
     pub fn translation(translation: DVec3) -> Rigid {
         Rigid {
             rotation: DMat3::IDENTITY,
@@ -56,14 +72,17 @@ impl Rigid {
         })
     }
 
+    /// A point's coordinates (mm) in the frame to the left of "from".
     pub fn point(&self, p: DVec3) -> DVec3 {
         self.rotation * p + self.translation
     }
 
+    /// A vector's; it is turned but not moved.
     pub fn vector(&self, v: DVec3) -> DVec3 {
         self.rotation * v
     }
 
+    /// `a_from_b` becomes `b_from_a`.
     pub fn inverse(&self) -> Rigid {
         let rotation = self.rotation.transpose();
         Rigid {

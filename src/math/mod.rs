@@ -12,22 +12,27 @@ pub use glam::{DMat2, DMat3, DVec2, DVec3};
 /// Axis-aligned box, in the unit of its points. Empty when `min > max`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Aabb {
+    /// Least coordinates.
     pub min: DVec3,
+    /// Greatest coordinates.
     pub max: DVec3,
 }
 
 impl Aabb {
+    /// No point; [`Aabb::of`] nothing.
     pub const EMPTY: Aabb = Aabb {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
     };
 
+    /// The smallest box that holds all the points.
     pub fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
         points
             .into_iter()
             .fold(Aabb::EMPTY, |b, p| Aabb::new(b.min.min(p), b.max.max(p)))
     }
 
+    /// From least and greatest coordinates.
     pub fn new(min: DVec3, max: DVec3) -> Aabb {
         Aabb { min, max }
     }
@@ -42,14 +47,17 @@ impl Aabb {
         Aabb::of(self.corners().map(|corner| pose.point(corner)))
     }
 
+    /// Middle of the box; NaN if it is empty.
     pub fn center(&self) -> DVec3 {
         (self.min + self.max) / 2.0
     }
 
+    /// Lengths of the sides; negative if it is empty.
     pub fn size(&self) -> DVec3 {
         self.max - self.min
     }
 
+    /// The eight corners, x changing fastest.
     pub fn corners(&self) -> [DVec3; 8] {
         std::array::from_fn(|i| {
             DVec3::new(

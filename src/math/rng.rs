@@ -7,13 +7,21 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
+    /// Phases of a speckle pattern's phasors.
     SpecklePattern = 1,
+    /// Shot and read noise of pixels.
     SensorNoise = 2,
+    /// Places and heights of a rough surface's scatterers.
     WaveScatterers = 3,
+    /// Which values a bootstrap draws again.
     Bootstrap = 4,
+    /// Errors of a calibration's observations.
     Calibration = 7,
+    /// Rays of `bench-bvh`.
     RaceRays = 16,
+    /// What each box of the tree in Rust is widened by.
     BoxPadding = 17,
+    /// Places at which the plan looks at frames.
     PlanRays = 18,
 }
 
@@ -32,10 +40,12 @@ const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 pub struct Key(u64);
 
 impl Key {
+    /// A key for one purpose; equal seeds give equal numbers.
     pub fn new(seed: u64, purpose: Purpose) -> Key {
         Key(mix(seed.wrapping_add(GOLDEN))).with(purpose as u64)
     }
 
+    /// A key of its own for `index`: a frame, a pixel, a sample.
     pub fn with(self, index: u64) -> Key {
         Key(mix(self.0 ^ mix(index.wrapping_mul(GOLDEN).wrapping_add(GOLDEN))).wrapping_add(GOLDEN))
     }

@@ -27,9 +27,11 @@ pub enum Orientation {
 /// count as degenerate and have no edges.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MeshReport {
+    /// Number of triangles, degenerate ones too.
     pub triangles: usize,
     /// After welding.
     pub vertices: usize,
+    /// Smallest box around the vertices, mm.
     pub bounds_mm: Aabb,
     /// Distance between the numbers that can stand for the largest coordinate, mm: of
     /// f32 if all coordinates are such in some usual unit, else of f64. Detail finer
@@ -47,6 +49,7 @@ pub struct MeshReport {
     pub degenerate_triangles: usize,
     /// Triangles on the same three vertices as an earlier one, in any sense.
     pub duplicate_triangles: usize,
+    /// Which way the triangles face.
     pub orientation: Orientation,
     /// Volume enclosed (mm³), negative when inward; 0 for an open mesh.
     pub volume_mm3: f64,

@@ -48,7 +48,9 @@ pub type Watch<'a> = dyn Fn(f64) -> Result<(), Error> + Sync + 'a;
 /// finite, and there is at least one triangle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
+    /// Vertices, mm.
     pub positions: Vec<DVec3>,
+    /// Three indices into `positions`, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 

@@ -18,6 +18,7 @@ const MOST_VERTICES: f64 = 4e6;
 pub struct WrongSize {
     /// As the keys of scene files: `radius_mm`.
     pub argument: &'static str,
+    /// What it must be, in words.
     pub expected: String,
 }
 
@@ -35,6 +36,16 @@ pub fn plane(size: DVec2) -> Result<Mesh, WrongSize> {
 
 /// Sphere about the origin: an octahedron with each face divided into n²
 /// triangles and its vertices pushed out to the sphere.
+///
+/// ```
+/// use lasertrace::mesh::shapes;
+///
+/// let ball = shapes::sphere(5.0, 0.01)?;
+/// // All vertices lie on it, but for rounding.
+/// assert!(ball.positions.iter().all(|p| (p.length() - 5.0).abs() < 1e-14));
+/// assert_eq!(shapes::sphere(0.0, 0.01).unwrap_err().argument, "radius_mm");
+/// # Ok::<(), shapes::WrongSize>(())
+/// ```
 pub fn sphere(radius: f64, chord_mm: f64) -> Result<Mesh, WrongSize> {
     positive("radius_mm", radius)?;
     positive("chord_um", chord_mm)?;

@@ -37,6 +37,7 @@ pub struct Accuracy {
     pub cost_without_ms: f64,
     /// Frames looked at for it, and the points in their parts that were.
     pub pilot_frames: Vec<u32>,
+    /// Number of points of these frames that were looked at.
     pub pilot_points: usize,
     /// All this in words.
     pub statement: String,
@@ -57,9 +58,11 @@ pub struct PilotPoint {
 
 /// What the plan knows of the scene's frames.
 pub struct Pilot {
+    /// Points of the lines in the pilot frames.
     pub points: Vec<PilotPoint>,
     /// Of the sensor.
     pub pixels: f64,
+    /// Columns of the sensor.
     pub columns: f64,
     /// Pixels of a frame that are looked at when light ends at so many beam radii.
     pub looked_at: Vec<(f64, f64)>,
@@ -70,9 +73,11 @@ pub struct Pilot {
 /// Of the scene's speckle.
 #[derive(Debug, Clone)]
 pub struct Grain {
+    /// Shape of the lens's pupil.
     pub aperture: Aperture,
     /// Minimal speckle size h along the sensor's columns, px.
     pub size: f64,
+    /// Contrast of the light before pixels integrate it, 0 to 1.
     pub contrast: f64,
 }
 

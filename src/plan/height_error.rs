@@ -14,6 +14,7 @@ pub struct HeightError {
 }
 
 impl HeightError {
+    /// Of mean 0 and standard deviation `deviation`, µm.
     pub fn random(deviation: f64) -> HeightError {
         HeightError { deviation }
     }

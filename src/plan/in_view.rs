@@ -14,8 +14,11 @@ use std::f64::consts::TAU;
 /// A laser and a camera that stand still to each other.
 #[derive(Debug, Clone, Copy)]
 pub struct Optics<'a> {
+    /// Source of the light plane.
     pub laser: &'a Laser,
+    /// Lens and sensor.
     pub camera: &'a Camera,
+    /// Where the laser stands before the camera.
     pub camera_from_laser: &'a Rigid,
 }
 

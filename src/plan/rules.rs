@@ -25,6 +25,7 @@ pub struct Plan {
     pub noise: bool,
     /// Samples along each side of a pixel.
     pub samples_per_side: u32,
+    /// Which samples are traced.
     pub sampling: Sampling,
     /// Beam radii at which light is taken to end.
     pub cutoff_radii: f64,
@@ -54,6 +55,7 @@ pub struct Plan {
     pub laser_plane_distance_mm: Option<f64>,
     /// Whether the pattern slips on surfaces out of focus as they move.
     pub speckle_slips: bool,
+    /// Every effect with its method and the reason.
     pub effects: Vec<Effect>,
     /// `None`: the scene states no tolerance.
     pub accuracy: Option<Accuracy>,
@@ -62,9 +64,13 @@ pub struct Plan {
 /// One line of the plan.
 #[derive(Debug, Clone, Serialize)]
 pub struct Effect {
+    /// Name of the effect, as outputs show it.
     pub effect: &'static str,
+    /// Whether results have it.
     pub modelled: bool,
+    /// How it is modelled, or that it is not, in words.
     pub method: String,
+    /// The reason, with the numbers that decided.
     pub why: String,
     /// How far it moves heights, or what is left of it does: 99 of 100 points by less,
     /// µm. `None` without a tolerance, and where no formula says it.
@@ -76,6 +82,7 @@ pub struct Effect {
 }
 
 impl Effect {
+    /// Without influence and cost.
     pub fn new(effect: &'static str, modelled: bool, method: String, why: String) -> Effect {
         Effect {
             effect,
@@ -91,9 +98,11 @@ impl Effect {
 /// What the plan must know of speckle.
 #[derive(Debug, Clone)]
 pub struct SpeckleOptics {
+    /// Shape of the lens's pupil.
     pub aperture: Aperture,
     /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
     pub contrast: f64,
+    /// How speckle is read.
     pub method: Method,
     /// Of pairs of frames ever further apart; none if slip cannot be modelled.
     pub steps: Vec<SpeckleStep>,
@@ -137,6 +146,7 @@ const CONTRAST_TOLERANCE: f64 = 0.005;
 
 /// Error of the line's centroid that sampling may cause, pixels.
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
+/// Most samples along each side of a pixel.
 pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
 
 /// Samples a side at which the line's centroid is good to

@@ -9,6 +9,7 @@ pub fn in_words(plan: &Plan) -> String {
     words(plan).join(", ")
 }
 
+/// The plan's choices in words, one each.
 pub fn words(plan: &Plan) -> Vec<String> {
     if plan.geometry_only {
         return vec!["geometry only, no image".into()];

@@ -28,21 +28,26 @@ pub struct Dot {
 pub struct LinePoint {
     /// A point of the target's plane and its normal, head's frame.
     pub target_point: DVec3,
+    /// Unit vector.
     pub target_normal: DVec3,
     /// Middle of the column, and row of the peak. All have the same uncertainty in
     /// row, which is found from how far they stray, and are independent.
     pub pixel: DVec2,
 }
 
+/// What all views of the target gave.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Observations {
+    /// Of all views.
     pub dots: Vec<Dot>,
+    /// Peaks of all views.
     pub line: Vec<LinePoint>,
 }
 
 /// What [`adjust`] finds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adjustment {
+    /// The estimates with their covariance.
     pub calibration: Calibration,
     /// Found minus predicted, pixels.
     pub dot_residuals: Vec<DVec2>,
@@ -50,6 +55,7 @@ pub struct Adjustment {
     pub line_residuals: Vec<f64>,
     /// Standard deviation of a peak's row, from the residuals.
     pub line_sigma_px: f64,
+    /// Steps that the adjustment took.
     pub iterations: usize,
 }
 

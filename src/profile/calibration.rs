@@ -36,9 +36,12 @@ pub type Parameters = [f64; PARAMETERS.len()];
 /// Row by row, in products of the parameters' units.
 pub type Covariance = [Parameters; PARAMETERS.len()];
 
+/// What turns a peak into a point: camera, its place in the head, and the laser plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
+    /// Camera without its sensor.
     pub camera: CameraModel,
+    /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
     /// A point of the laser plane, camera frame, mm.
     pub plane_point: DVec3,
@@ -79,6 +82,23 @@ impl Calibration {
 
     /// The point of the laser plane that `peak`'s pixel sees, camera frame, mm.
     /// `None` if its ray does not meet the plane in front of the camera.
+    ///
+    /// ```
+    /// use lasertrace::Scene;
+    /// use lasertrace::math::{DVec2, DVec3, Rigid};
+    /// use lasertrace::profile::Calibration;
+    ///
+    /// // The plane that the camera sees sharp, 150 mm in front of it.
+    /// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
+    /// let ahead = DVec3::new(0.0, 0.0, 150.0);
+    /// let camera = scene.camera.model();
+    /// let calibration = Calibration::perfect(camera, Rigid::IDENTITY, ahead, DVec3::Z);
+    ///
+    /// let middle = DVec2::new(320.0, 150.0);
+    /// let point = calibration.point_at(middle).expect("the ray meets the plane");
+    /// assert!((point - ahead).length() < 1e-9);
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
     pub fn point(&self, peak: &Peak) -> Option<DVec3> {
         self.point_at(peak.place())
     }

@@ -42,6 +42,22 @@ struct Found<'a> {
 /// The line of each column of an image, in the order of columns; columns without one
 /// are left out. A line is what stands out from its column's own noise so far that noise
 /// alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's columns.
+///
+/// ```
+/// use lasertrace::camera::Counts;
+/// use lasertrace::profile::{PeakSettings, find_peaks};
+///
+/// // In each of 20 columns a Gaussian line of σ = 2 px about row 30.25.
+/// let column = |row: usize| {
+///     let away = (row as f64 + 0.5 - 30.25) / 2.0;
+///     (10.0 + 800.0 * (-0.5 * away * away).exp()).round() as u16
+/// };
+/// let counts = (0..20).flat_map(|_| (0..60).map(column)).collect();
+/// let peaks = find_peaks(&Counts::of_columns(counts, 60), &PeakSettings::new(1023));
+/// assert_eq!(peaks.len(), 20);
+/// // Counts are rounded by at most ½: the row moves by far less than 0.02 px.
+/// assert!(peaks.iter().all(|peak| (peak.row - 30.25).abs() < 0.02));
+/// ```
 pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     let (columns, rows) = (image.columns(), image.rows());
     let z = detection_sigmas(columns * rows);

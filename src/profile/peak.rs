@@ -10,6 +10,7 @@ use std::fmt;
 /// The line in one column.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Peak {
+    /// Column of the image.
     pub column: u32,
     /// Row coordinate of the line; pixel j covers [j, j+1].
     pub row: f64,
@@ -23,6 +24,7 @@ pub struct Peak {
     /// Standard deviation of the background's noise, counts; at least that of
     /// rounding, 1/√12.
     pub noise: f64,
+    /// What may be wrong with it.
     pub flags: Flags,
 }
 
@@ -117,6 +119,7 @@ impl fmt::Display for PeakFinder {
 }
 
 impl PeakFinder {
+    /// All, in the order in which they are compared.
     pub const ALL: [PeakFinder; 4] = [
         PeakFinder::Centroid,
         PeakFinder::LogParabola,
@@ -141,7 +144,9 @@ pub enum Choice {
 /// What [`super::find_peaks`] needs to know.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PeakSettings {
+    /// How the line's row is found.
     pub finder: PeakFinder,
+    /// Which line of several.
     pub choice: Choice,
     /// The count at which pixels saturate.
     pub max_count: u16,

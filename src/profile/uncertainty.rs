@@ -51,7 +51,7 @@ pub struct RowError {
 /// Predicts the standard uncertainty of the rows of peaks.
 ///
 /// To first order a finder moves by Σ w_i·δ_i if the light of pixel i, of Gaussian
-/// share G_i, errs by δ_i; w is [`influence`]. Then, N being the counts of the line,
+/// share G_i, errs by δ_i; w is `influence`. Then, N being the counts of the line,
 /// K counts an electron and s the background's noise (read noise and rounding),
 ///
 /// ```text
@@ -62,10 +62,10 @@ pub struct RowError {
 /// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
 /// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
-/// this are, squared, what a bend of the line within the column does ([`bend_variance`]) and
-/// what an edge along the line that cuts it, times the chance that there is one ([`Cuts`]); on a
+/// this are, squared, what a bend of the line within the column does (`bend_variance`) and
+/// what an edge along the line that cuts it, times the chance that there is one (`Cuts`); on a
 /// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
-/// first term is what clipping leaves of it ([`Clipping`]). The
+/// first term is what clipping leaves of it (`Clipping`). The
 /// ratio that a centroid is has terms of second order too, left out here: with few grains
 /// across the line it strays less than stated (`tests/uncertainty.rs` sums them exactly).
 ///

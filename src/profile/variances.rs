@@ -19,12 +19,14 @@ pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
 pub struct SpeckleGrain {
     /// Where pixels lie behind the lens.
     pub rays: ChiefRays,
+    /// Columns, rows of the sensor.
     pub resolution: UVec2,
     /// Minimal speckle size λ/D, in direction cosines.
     pub size: f64,
     /// Contrast of the light before pixels integrate it; below 1 if it is
     /// depolarised or of several wavelengths.
     pub contrast: f64,
+    /// Shape of the lens's pupil.
     pub aperture: Aperture,
 }
 

@@ -50,8 +50,11 @@ impl Effort {
 /// Median and quartiles.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Spread {
+    /// Lower quartile.
     pub low: f64,
+    /// Median.
     pub median: f64,
+    /// Upper quartile.
     pub high: f64,
 }
 
@@ -74,6 +77,7 @@ impl Spread {
 /// One racer on one kind of rays.
 #[derive(Debug, Serialize)]
 pub struct Laps {
+    /// Which rays, in words.
     pub kind: &'static str,
     /// Million rays per second of processor time, one thread; `null` without a lap.
     pub one_thread: Option<Spread>,
@@ -87,7 +91,9 @@ pub struct Laps {
 /// What a racer did.
 #[derive(Debug, Serialize)]
 pub struct Finish {
+    /// Name of the library.
     pub name: &'static str,
+    /// Its version.
     pub version: String,
     /// Rounds that were begun, each with a build.
     pub rounds: usize,
@@ -103,20 +109,28 @@ pub struct Finish {
     pub laps: Vec<Laps>,
     /// Of rays aimed at edges and at vertices, those that met nothing there.
     pub edges: Asked,
+    /// The same at vertices.
     pub vertices: Asked,
 }
 
 /// `bench.json`.
 #[derive(Debug, Serialize)]
 pub struct Race {
+    /// Triangles of the mesh.
     pub triangles: usize,
+    /// Its vertices, welded.
     pub vertices: usize,
+    /// Threads of the laps that use all.
     pub threads: usize,
+    /// What was asked for.
     pub effort: Effort,
     /// Rays of each kind that were checked by brute force.
     pub checked: usize,
+    /// Rays aimed at edges.
     pub aimed_at_edges: usize,
+    /// Rays aimed at vertices.
     pub aimed_at_vertices: usize,
+    /// One for each library.
     pub racers: Vec<Finish>,
 }
 

@@ -7,33 +7,49 @@ use super::svg::{END, MIDDLE, Svg};
 
 /// One way of doing the frames.
 pub struct Mark {
+    /// What stands beside it.
     pub name: String,
     /// Quartiles of the time of a frame.
     pub ms: [f64; 3],
+    /// Times as fast as the full model.
     pub speed_up: f64,
     /// Error of height; `None` where points are lost.
     pub within_um: Option<f64>,
+    /// Systematic part of the error.
     pub bias_um: f64,
+    /// Random part of the error.
     pub noise_um: f64,
+    /// Share of points of the full model that it does not find.
     pub lost: f64,
+    /// Random error against geometry; `None` for a point laser.
     pub scatter_um: Option<f64>,
+    /// Standard deviation of the line, px; `None` without images.
     pub sigma_px: Option<f64>,
+    /// Contrast of the light along the line; `None` without images.
     pub contrast: Option<f64>,
     /// Time per million samples.
     pub ms_per_million: Option<f64>,
+    /// What it holds in memory, MB.
     pub memory_mb: f64,
+    /// No other is both faster and more accurate.
     pub on_front: bool,
+    /// What the scene's runs use.
     pub chosen: bool,
     /// Its error is not a method's but a draw's.
     pub hollow: bool,
 }
 
+/// Error against speed, one mark for each way of doing the frames.
 pub struct AccuracyChart {
+    /// Heading.
     pub title: String,
     /// Lines under the title.
     pub lead: Vec<String>,
+    /// The scene's tolerance, if it states one.
     pub tolerance_um: Option<f64>,
+    /// What speckle alone does to heights, if that is beyond the tolerance.
     pub limit_um: Option<f64>,
+    /// In the order of the table.
     pub marks: Vec<Mark>,
 }
 
@@ -78,6 +94,7 @@ fn around(values: impl Iterator<Item = f64>) -> [f64; 2] {
 }
 
 impl AccuracyChart {
+    /// The chart and its table as one SVG.
     pub fn svg(&self) -> String {
         let table_top = TOP + HEIGHT + 92.0;
         let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 72.0;

@@ -6,10 +6,15 @@ use super::svg::{MIDDLE, Svg};
 
 /// A histogram: what is counted, and where its axis ends.
 pub struct Histogram<'a> {
+    /// Heading.
     pub title: &'a str,
+    /// What is counted; values beyond the axis count in its last bins.
     pub values: &'a [f64],
+    /// Left end of the axis.
     pub low: f64,
+    /// Right end of the axis, above `low`.
     pub high: f64,
+    /// Colour of the bin about a value.
     pub color: &'a dyn Fn(f64) -> Rgb,
     /// Expected count in a bin from one value to another.
     pub expected: Option<&'a dyn Fn(f64, f64) -> f64>,

@@ -1,6 +1,7 @@
 //! Colours that stand for numbers: told apart by people who do not tell red from
 //! green, and in grey.
 
+/// Red, green and blue of sRGB.
 pub type Rgb = [u8; 3];
 
 fn between(stops: &[[f64; 3]], share: f64) -> Rgb {
@@ -35,6 +36,7 @@ pub fn sequential(value: f64, limit: f64) -> Rgb {
     between(&STOPS, value / limit)
 }
 
+/// As style sheets and SVG write it.
 pub fn css([r, g, b]: Rgb) -> String {
     format!("rgb({r},{g},{b})")
 }

@@ -6,6 +6,7 @@ use sha2::{Digest, Sha256};
 use std::fmt::Write;
 use std::io::{self, Cursor};
 
+/// A form of the cloud beside PLY.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// Text, one line a point.
@@ -17,8 +18,10 @@ pub enum Format {
 }
 
 impl Format {
+    /// All, in the order of this list.
     pub const ALL: [Format; 3] = [Format::Csv, Format::E57, Format::Npy];
 
+    /// Name of its file in the folder of a scan.
     pub fn file_name(self) -> &'static str {
         match self {
             Format::Csv => "cloud.csv",

@@ -13,32 +13,43 @@ use std::fmt::Write;
 
 /// What a report shows, in its order.
 pub struct Report {
+    /// Heading, the scene's name.
     pub title: String,
     /// The result in a sentence.
     pub lead: String,
+    /// Name and value.
     pub facts: Vec<(&'static str, String)>,
+    /// `None`: the part and the cloud are not shown in 3D.
     pub viewer: Option<Viewer>,
+    /// Of deviation, uncertainty and the like; may be empty.
     pub maps: Vec<ColorMap>,
+    /// Of valid points; `None` if there is none.
     pub statistics: Option<DeviationStatistics>,
     /// Caption and SVG.
     pub histograms: Vec<(String, String)>,
+    /// Those that some point carries.
     pub flags: Vec<FlagCount>,
+    /// What became of the part's surface; `None` if nobody asked for it.
     pub coverage: Option<SurfaceCoverage>,
     /// Caption and SVG.
     pub setup: Vec<(&'static str, String)>,
+    /// Pictures of frames; may be empty.
     pub frames: Vec<SampleFrame>,
     /// Effect, modelled, method, reason.
     pub plan: Vec<[String; 6]>,
     /// What the plan says of the scene's tolerance.
     pub accuracy: Option<String>,
+    /// What the run was: name and value.
     pub run: Vec<(&'static str, String)>,
 }
 
 /// A quantity as colours on the part.
 pub struct ColorMap {
+    /// Heading.
     pub title: &'static str,
     /// SVG.
     pub bar: String,
+    /// What stands at the bar.
     pub legend: &'static str,
     /// Caption and PNG.
     pub views: Vec<(&'static str, Vec<u8>)>,
@@ -46,10 +57,15 @@ pub struct ColorMap {
 
 /// A frame of the scan with the line that was extracted from it.
 pub struct SampleFrame {
+    /// Number of the frame.
     pub number: u32,
+    /// Why it is shown, in words.
     pub why: &'static str,
+    /// The image as a PNG file.
     pub png: Vec<u8>,
+    /// Of the image, px.
     pub width: u32,
+    /// Of the image, px.
     pub height: u32,
     /// (column, row) in pixels.
     pub line: Vec<(f64, f64)>,
@@ -63,6 +79,7 @@ fn escape(text: &str) -> String {
 }
 
 impl Report {
+    /// One file: pictures, styles and script are in it.
     pub fn html(&self) -> String {
         let title = escape(&self.title);
         let mut html = format!(

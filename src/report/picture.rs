@@ -65,7 +65,9 @@ fn shade(
 /// other in the part's frame.
 #[derive(Debug, Clone, Copy)]
 pub struct ParallelView {
+    /// Unit vector to the right of the picture.
     pub right: DVec3,
+    /// Unit vector to its bottom.
     pub down: DVec3,
 }
 
@@ -79,12 +81,16 @@ fn extent(bounds: &Aabb, axis: DVec3) -> (f64, f64) {
 
 /// The part in a parallel view.
 pub struct PartPicture {
+    /// A PNG file.
     pub png: Vec<u8>,
     /// Coordinates of the picture's left and top edge along the view's axes, and
     /// its size, mm.
     pub left: f64,
+    /// Along `down`, mm.
     pub top: f64,
+    /// Along `right`, mm.
     pub width: f64,
+    /// Along `down`, mm.
     pub height: f64,
 }
 

@@ -16,8 +16,11 @@ const LONGEST: f64 = 600.0;
 
 /// What is drawn, all in the part's frame.
 pub struct Setup<'a> {
+    /// The part.
     pub accel: &'a Accel,
+    /// Its fan is drawn.
     pub laser: &'a Laser,
+    /// Its field of view is drawn.
     pub camera: &'a Camera,
     /// Where the head is drawn.
     pub pose: HeadPose,

@@ -8,21 +8,28 @@ use std::fmt::Write;
 
 /// Points of one kind, each drawn in the colours of several modes.
 pub struct Layer {
+    /// mm, in the part's frame.
     pub positions: Vec<DVec3>,
+    /// What a reader can switch between.
     pub modes: Vec<Mode>,
 }
 
+/// A way to colour the points of a layer.
 pub struct Mode {
+    /// What the switch shows.
     pub name: &'static str,
+    /// What the colours mean.
     pub caption: String,
     /// One for each position.
     pub colors: Vec<Rgb>,
 }
 
+/// Points that a reader turns with the mouse.
 pub struct Viewer {
     /// Heading and height of the first look, rad: along part x·sin + y·cos of the
     /// heading, from above by the height.
     pub look: [f64; 2],
+    /// Drawn over each other in this order.
     pub layers: Vec<Layer>,
 }
 

@@ -15,6 +15,7 @@ use std::time::Instant;
 /// A scene's plan, what its scan takes, and what will spoil it.
 #[derive(Debug, Serialize)]
 pub struct Checked {
+    /// Which effects are modelled, how and why.
     pub plan: Plan,
     /// Of the whole scan.
     pub forecast: Forecast,

@@ -32,7 +32,9 @@ const REPORTING: u64 = 9_000_000;
 /// What the whole scan of a scene takes on this machine with the threads at hand.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Forecast {
+    /// Number of frames.
     pub frames: u32,
+    /// Threads at hand.
     pub threads: usize,
     /// At its peak, beside mesh and hierarchy; about.
     pub memory_bytes: u64,

@@ -110,7 +110,7 @@ impl HeightErrors {
     /// Upper limit, at 95 % confidence, of the share beyond ± `um` of all the points of which
     /// these are a part, `left` of them not looked at: the score interval (Wilson 1927) for as
     /// many independent points as tell as much (Korn and Graubard 1998), fewer than there are
-    /// by the [design effect](Self::design_effect), and more where few are left. 1 without
+    /// by the design effect, and more where few are left. 1 without
     /// points.
     pub fn share_at_most(&self, um: f64, left: f64) -> f64 {
         if self.points == 0 {

@@ -21,6 +21,7 @@ use std::ops::Range;
 const WALL: f64 = 0.15;
 
 impl Simulation {
+    /// How peaks are found in this scene's images.
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..
@@ -53,6 +54,19 @@ impl Simulation {
     }
 
     /// A frame from its pose to its points; no image where the plan takes geometry only.
+    ///
+    /// ```
+    /// use lasertrace::{Scene, Simulation};
+    ///
+    /// let text = include_str!("../../scenes/plane/scene.toml");
+    /// let simulation = Simulation::new(&Scene::parse(text, "".as_ref())?)?;
+    /// let (image, peaks, points) = simulation.take(4);
+    /// assert_eq!(image, Some(simulation.image(4)));
+    /// assert_eq!((peaks.len(), points.len()), (640, 640));
+    /// // The scene is without noise and speckle: what is left is the counts' rounding.
+    /// assert!(points.iter().all(|point| point.deviation.abs() < 1e-3));
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
     pub fn take(&self, frame: u32) -> (Option<Counts>, Vec<Peak>, Vec<CloudPoint>) {
         let pose = self.pose(frame);
         if self.plan.geometry_only {

@@ -41,11 +41,25 @@ pub(crate) fn simulation(
 }
 
 /// The plan of a scene as a run will follow it; builds the hierarchy.
+///
+/// ```
+/// use lasertrace::Scene;
+///
+/// let scene = Scene::parse(include_str!("../../scenes/plane/scene.toml"), "".as_ref())?;
+/// let plan = lasertrace::run::scene_plan(&scene)?;
+/// assert!(!plan.geometry_only && plan.speckle.is_none());
+/// for effect in &plan.effects {
+///     println!("{}: {} ({})", effect.effect, effect.method, effect.why);
+/// }
+/// # Ok::<(), lasertrace::Error>(())
+/// ```
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
     scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?))
 }
 
 impl Simulation {
+    /// Plans the scene and builds all that its frames share. Errors: too little memory, a
+    /// failure of Embree, or a plan that the scene's tolerance does not allow.
     pub fn new(scene: &Scene) -> Result<Simulation> {
         Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
     }

@@ -8,6 +8,7 @@ use std::fmt;
 /// Something that spoils a scan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Warning {
+    /// Why, for programs.
     #[serde(flatten)]
     pub reason: Reason,
     /// In words, with what to do.
@@ -19,59 +20,103 @@ pub struct Warning {
 #[serde(tag = "reason", rename_all = "kebab-case")]
 pub enum Reason {
     /// No line was found in any frame.
-    NothingMeasured { frames: usize },
+    NothingMeasured {
+        /// Number of frames.
+        frames: usize,
+    },
     /// Every point has a flag; the one that most have.
     EveryPointDoubtful {
+        /// Number of points.
         points: usize,
+        /// Name of the flag.
         flag: &'static str,
+        /// What it says of a point.
         meaning: &'static str,
+        /// Points that carry it.
         flagged: usize,
     },
     /// All frames are taken at the same place.
-    NoMotion { frames: usize },
+    NoMotion {
+        /// Number of frames.
+        frames: usize,
+    },
     /// Largest size of the part over the width that the sensor measures.
     UnitDoubtful {
+        /// Largest size of the part.
         part_mm: f64,
+        /// Width that the sensor measures.
         field_mm: f64,
+        /// Unit that the scene names for the mesh.
         unit: Unit,
+        /// Unit in which the part would fit, if there is one.
         likely: Option<Unit>,
     },
     /// The laser's aperture or the camera's pupil is in the part in the scan's first frame.
-    SensorInsidePart { body: &'static str },
+    SensorInsidePart {
+        /// What of the sensor, in words.
+        body: &'static str,
+    },
     /// It passes through the part's surface after this frame.
-    SensorThroughPart { body: &'static str, frame: u32 },
+    SensorThroughPart {
+        /// What of the sensor, in words.
+        body: &'static str,
+        /// Number of the frame.
+        frame: u32,
+    },
     /// In every frame the part is behind the laser.
     LaserLooksAway,
     /// The light passes the part; its plane at the nearest by so much, in this frame.
-    LightMissesPart { frame: u32, by_mm: f64 },
+    LightMissesPart {
+        /// Number of the frame.
+        frame: u32,
+        /// Distance of the part from the plane.
+        by_mm: f64,
+    },
     /// The plane of light crosses the part's bounding box, its rays pass the part.
     LightBesidePart,
     /// The camera sees nothing of the laser's light, wherever it falls.
     CameraLooksAway,
     /// The lit surface is nearer than the range: its highest place by so much.
     AboveRange {
+        /// Share of the light.
         share: f64,
+        /// The farthest.
         by_mm: f64,
+        /// Least and greatest distance from the laser that the camera sees.
         range_mm: [f64; 2],
     },
     /// The lit surface is behind the range: its lowest place by so much.
     BelowRange {
+        /// Share of the light.
         share: f64,
+        /// The farthest.
         by_mm: f64,
+        /// Least and greatest distance from the laser that the camera sees.
         range_mm: [f64; 2],
     },
     /// All the light falls on the part beside what the camera sees.
     OutOfView,
     /// The part is between the lit surface and the camera.
-    HiddenFromCamera { share: f64 },
+    HiddenFromCamera {
+        /// Share of the light.
+        share: f64,
+    },
     /// Expected counts above black in the middle of the line, at the most.
     TooDark {
+        /// Share of the light.
         share: f64,
+        /// Expected counts.
         counts: f64,
+        /// Counts that a line needs to be found.
         least_counts: f64,
     },
     /// Expected counts in the middle of the line, at the most, over the highest the sensor gives.
-    Saturated { share: f64, times: f64 },
+    Saturated {
+        /// Share of the light.
+        share: f64,
+        /// Ratio of the two.
+        times: f64,
+    },
 }
 
 impl From<Reason> for Warning {

@@ -10,14 +10,20 @@ use exr::prelude::FlatSamples;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
+/// What a rendered frame is, and where it was written.
 #[derive(Debug, Serialize)]
 pub struct RenderSummary {
+    /// Number of the frame.
     pub frame: u32,
     /// What found the triangles rays met.
     pub accel: String,
+    /// The counts, 16 bits.
     pub png: PathBuf,
+    /// Irradiance and truth layers.
     pub exr: PathBuf,
+    /// Highest count of the frame.
     pub max_count: u16,
+    /// Mean count of the frame.
     pub mean_count: f64,
 }
 

@@ -51,6 +51,7 @@ struct Manifest<'a> {
 /// What of a scan to run, and how.
 #[derive(Debug, Clone)]
 pub struct ScanOptions {
+    /// Which pixels are traced.
     pub coverage: Coverage,
     /// Half-open; `None`: all.
     pub frames: Option<Range<u32>>,

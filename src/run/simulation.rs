@@ -27,9 +27,14 @@ pub(crate) struct Pose {
     pub part_from_head: Rigid,
 }
 
+/// A scene made ready: everything its frames share. Threads may share it, and each frame
+/// depends on its number alone.
 pub struct Simulation {
+    /// What is simulated.
     pub scene: Scene,
+    /// Rays against the part; clones share one hierarchy.
     pub accel: Arc<Accel>,
+    /// Which effects are modelled, and how.
     pub plan: Plan,
     /// What the measurement knows of the sensor.
     pub calibration: Calibration,
@@ -127,6 +132,7 @@ impl Simulation {
         }
     }
 
+    /// What `frame` is taken of, at the middle of its exposure.
     pub fn view(&self, frame: u32) -> View<'_> {
         self.view_of(&self.pose(frame))
     }

@@ -13,11 +13,15 @@ use std::path::PathBuf;
 /// `summary.json`.
 #[derive(Debug, Serialize)]
 pub struct ScanSummary {
+    /// The scene file.
     pub scene: PathBuf,
+    /// Number of frames.
     pub frames: u32,
+    /// Columns of an image.
     pub columns: u32,
     /// Share of all columns of all frames in which a point was measured.
     pub measured_share: f64,
+    /// Number of measured points, flagged ones too.
     pub points: usize,
     /// Share of the points at which the lens's blur, which images do not have, is wider than
     /// two standard deviations of their line; `null` if there is none.
@@ -34,10 +38,13 @@ pub struct ScanSummary {
     pub alignment: Option<Alignment>,
     /// What was planned for the scene's tolerance, if it states one.
     pub accuracy: Option<Accuracy>,
+    /// What became of the part's surface; `null` for a part without area.
     pub coverage: Option<SurfaceCoverage>,
     /// What spoils the scan; empty for a good one.
     pub warnings: Vec<Warning>,
+    /// The cloud's file.
     pub cloud: PathBuf,
+    /// The report's file.
     pub report: PathBuf,
     /// The frame shown in the report, if one was taken, and the cloud over the part.
     pub pictures: Vec<PathBuf>,

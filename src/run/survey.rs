@@ -17,6 +17,7 @@ use std::ops::Range;
 pub struct MeasuringRange {
     /// Least and greatest distance from the laser along the beam, mm.
     pub near_mm: f64,
+    /// The greatest.
     pub far_mm: f64,
     /// Width in its middle, mm.
     pub width_mm: f64,

@@ -25,14 +25,21 @@ pub struct SceneFile {
     /// Also write each frame of a scan as frames/frame-KKKKKK.png.
     #[serde(default)]
     pub write_frames: bool,
+    /// What is measured.
     pub part: PartTable,
+    /// What lights it.
     pub laser: LaserTable,
+    /// What takes the images.
     pub camera: CameraTable,
+    /// How sensor or part moves from frame to frame.
     pub scan: ScanTable,
+    /// How the line is found in an image, and points from it.
     #[serde(default)]
     pub measure: MeasureTable,
+    /// How exact the simulation is to be.
     #[serde(default)]
     pub accuracy: AccuracyTable,
+    /// Methods to use instead of those the program would choose.
     #[serde(default)]
     pub plan: PlanTable,
 }
@@ -273,11 +280,14 @@ pub struct ScanTable {
     pub exposure_poses: u32,
 }
 
+/// What moves from frame to frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Moves {
+    /// Laser and camera together.
     #[default]
     Head,
+    /// The part; the sensor rests.
     Part,
 }
 

@@ -15,8 +15,11 @@ use std::sync::Arc;
 /// motion(k) · its pose at rest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScanPath {
+    /// Number of frames, at least 1.
     pub frames: u32,
+    /// Which body moves; the other rests.
     pub moves: Moves,
+    /// How it moves.
     pub motion: Motion,
     /// The head at rest, turned nowhere.
     pub start: DVec3,
@@ -27,21 +30,29 @@ pub struct ScanPath {
     pub exposure_poses: u32,
 }
 
+/// Where a body is in frame k, relative to where it is at rest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Motion {
+    /// Moved by k steps.
     Linear {
         /// From one frame to the next.
         step: DVec3,
     },
+    /// Turned about an axis of the world, right-handed.
     Rotary {
+        /// A point of the axis, mm.
         axis_point: DVec3,
         /// Unit vector.
         axis_direction: DVec3,
+        /// Angle from one frame to the next.
         step_deg: f64,
+        /// Angle in frame 0.
         start_deg: f64,
     },
+    /// A pose for each frame, read from a file.
     Poses {
+        /// The file they were read from.
         file: PathBuf,
         /// One a frame: too many to print.
         #[serde(skip)]
@@ -113,6 +124,7 @@ fn between(a: &Rigid, b: &Rigid, share: f64) -> Rigid {
 }
 
 impl ScanPath {
+    /// Where the head is; `place` is a number of a frame, with fractions between two.
     pub fn world_from_head(&self, place: f64) -> Rigid {
         let rest = Rigid::translation(self.start);
         match self.moves {
@@ -121,6 +133,8 @@ impl ScanPath {
         }
     }
 
+    /// Where the part is that is at `rest` unless it moves; `place` as in
+    /// [`world_from_head`](Self::world_from_head).
     pub fn world_from_part(&self, place: f64, rest: &Rigid) -> Rigid {
         match self.moves {
             Moves::Head => *rest,

@@ -22,15 +22,20 @@ use std::sync::Arc;
 /// How speckle is modelled.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpeckleModel {
+    /// How patterns are made and read.
     pub method: Method,
+    /// What the light's wavelengths and polarisation leave of contrast.
     pub coherence: Coherence,
+    /// Shape of the lens's pupil.
     pub aperture: Aperture,
 }
 
 /// How the laser line is found in the image.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Measure {
+    /// How the line's row is found.
     pub finder: PeakFinder,
+    /// Which line of several in a column.
     pub choice: Choice,
     /// Best fit of the cloud to the CAD before deviations are taken.
     pub align: bool,
@@ -40,12 +45,15 @@ pub struct Measure {
 /// mesh, copies and poses are shared.
 #[derive(Clone, serde::Serialize)]
 pub struct Scene {
+    /// The scene file; what errors and summaries name.
     pub path: PathBuf,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
     pub hash: String,
+    /// Of everything random.
     pub seed: u64,
     /// `None`: laser light is taken as incoherent.
     pub speckle: Option<SpeckleModel>,
+    /// Whether a scan writes its images.
     pub write_frames: bool,
     /// What finds the triangles rays meet.
     pub accel: Backend,
@@ -55,6 +63,7 @@ pub struct Scene {
     pub methods: PlanTable,
     /// The part in words: the mesh file and its unit, or the shape and its size.
     pub part: String,
+    /// The part, mm, in its own frame; or what the copies repeat.
     #[serde(skip)]
     pub mesh: Arc<Mesh>,
     /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
@@ -63,14 +72,21 @@ pub struct Scene {
     /// as their number.
     #[serde(serialize_with = "number")]
     pub copies: Arc<[Rigid]>,
+    /// How the part scatters light.
     pub surface: Lambert,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
+    /// In its own frame.
     pub laser: Laser,
+    /// Where the laser stands in the head.
     pub head_from_laser: Rigid,
+    /// In its own frame.
     pub camera: Camera,
+    /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
+    /// From image to points.
     pub measure: Measure,
+    /// How the body moves, and how often a frame is taken.
     pub scan: ScanPath,
     /// What the measurement takes the sensor for; `None`: what it is.
     pub calibration: Option<Calibration>,
@@ -90,6 +106,21 @@ impl Scene {
 
     /// The same of a scene given as text (TOML), whose files are sought in `folder`.
     /// Messages call it `scene text` there.
+    ///
+    /// ```
+    /// use lasertrace::{Error, Scene};
+    ///
+    /// let text = include_str!("../../scenes/plane/scene.toml");
+    /// let scene = Scene::parse(text, "folder-of-its-files".as_ref())?;
+    /// assert_eq!((scene.scan.frames, scene.mesh.triangles.len()), (9, 2));
+    ///
+    /// let wrong = text.replace("f_number = 8", "f_number = 0");
+    /// let Err(Error::Input(mistake)) = Scene::parse(&wrong, "".as_ref()) else {
+    ///     panic!("a lens needs an aperture");
+    /// };
+    /// assert_eq!(mistake.key.as_deref(), Some("camera.f_number"));
+    /// # Ok::<(), Error>(())
+    /// ```
     pub fn parse(text: &str, folder: &Path) -> Result<Scene> {
         let path = folder.join("scene text");
         let source = Source::parse(&path, text.to_owned())?;
@@ -124,6 +155,7 @@ impl Scene {
         self.scan.world_from_part(frame as f64, &self.part_at_rest)
     }
 
+    /// Pose of the head in the part's frame in a frame's middle.
     pub fn part_from_head(&self, frame: u32) -> Rigid {
         self.part_from_head_at(frame as f64)
     }

@@ -3,26 +3,33 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Unit of length of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Unit {
+    /// 0.001 mm.
     #[serde(rename = "um")]
     #[cfg_attr(feature = "cli", value(name = "um"))]
     Micrometre,
+    /// 1 mm.
     #[serde(rename = "mm")]
     #[cfg_attr(feature = "cli", value(name = "mm"))]
     Millimetre,
+    /// 10 mm.
     #[serde(rename = "cm")]
     #[cfg_attr(feature = "cli", value(name = "cm"))]
     Centimetre,
+    /// 1000 mm.
     #[serde(rename = "m")]
     #[cfg_attr(feature = "cli", value(name = "m"))]
     Metre,
+    /// 25.4 mm.
     #[serde(rename = "inch")]
     Inch,
 }
 
 impl Unit {
+    /// All, from the smallest but for the inch.
     pub const ALL: [Unit; 5] = [
         Unit::Micrometre,
         Unit::Millimetre,

@@ -80,6 +80,7 @@ pub struct PoseAnchor {
 pub struct Reference {
     /// Which strip it is.
     pub number: f64,
+    /// Where the head was.
     pub part_from_head: Rigid,
     /// The pattern coordinate of the pose.
     pub at: ScanCoordinate,

@@ -5,8 +5,11 @@ use crate::math::DVec2;
 /// Where a pattern is read: s and t in texels, u in slices; finite. All wrap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coordinate {
+    /// Texels along a pattern's row.
     pub s: f64,
+    /// Texels down a pattern's column.
     pub t: f64,
+    /// Slices along the ring.
     pub u: f64,
 }
 

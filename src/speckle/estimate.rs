@@ -8,11 +8,15 @@ use serde::Serialize;
 /// than `tolerance`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Check {
+    /// What was measured.
     pub measured: f64,
+    /// What it should be.
     pub theory: f64,
+    /// Greatest difference that passes.
     pub tolerance: f64,
     /// Of `measured`, one standard deviation.
     pub standard_error: f64,
+    /// Whether the two agree.
     pub pass: bool,
 }
 

@@ -42,7 +42,9 @@ pub enum Source {
     /// R = z·(1 + (z_R/z)²), in each of its axes, which near the focus of a thin
     /// line is far from 1/L_s.
     Wavefront {
+        /// Unit vector.
         direction: DVec3,
+        /// 1/mm.
         curvature_per_mm: DMat3,
     },
 }
@@ -50,11 +52,15 @@ pub enum Source {
 /// A surface point between laser and camera, in any frame (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceView {
+    /// The surface point.
     pub point: DVec3,
     /// Unit surface normal; its sign does not matter.
     pub normal: DVec3,
+    /// The wave that lights it.
     pub source: Source,
+    /// Middle of the lens's pupil.
     pub pupil_centre: DVec3,
+    /// Diameter of the pupil.
     pub pupil_diameter: f64,
     /// Direction in space that the sensor's x axis shows; Q's first axis is its
     /// part across the viewing ray, Q's second n_o × the first.

@@ -28,7 +28,7 @@ use crate::math::{DVec2, DVec3, Rigid};
 ///
 /// References must not be so far that the surface shows another side. So where speckle
 /// hardly crosses the pupil, while the surface turns or comes nearer, the pupil is shifted
-/// all the same, by a diameter for each [`FARTHEST`]. It is a view in which
+/// all the same, by a diameter for each `FARTHEST`. It is a view in which
 /// the turn's axis halves the angle between laser and camera, and grains under it change
 /// sooner than they should.
 #[derive(Debug, Clone, PartialEq)]

@@ -38,9 +38,11 @@ pub struct PatternSpec {
     /// N/d, texels per minimal speckle size; at least 2, where the intensity
     /// is sampled at its Nyquist rate.
     pub texels_per_speckle: f64,
+    /// Shape of the pupil whose speckle it is.
     pub aperture: Aperture,
     /// Correlation slices along the closed path; a power of two.
     pub slices: usize,
+    /// Of the phasors' phases.
     pub seed: u64,
 }
 
@@ -109,8 +111,25 @@ pub(super) fn refuse(key: &str, found: String, expected: &str) -> Result<()> {
 }
 
 /// Complex speckle field over one period, N × N, row t, column s.
+///
+/// ```
+/// use lasertrace::math::DVec2;
+/// use lasertrace::speckle::pattern::{PatternSpec, PhasorPlane};
+///
+/// let spec = PatternSpec { size: 256, ..PatternSpec::default() };
+/// let pattern = PhasorPlane::new(&spec).pattern(DVec2::ZERO);
+/// let intensity: Vec<f64> = pattern.intensity().map(f64::from).collect();
+/// let mean = |of: &dyn Fn(f64) -> f64| {
+///     intensity.iter().map(|&i| of(i)).sum::<f64>() / intensity.len() as f64
+/// };
+/// // Fully developed speckle, ⟨I²⟩ = 2⟨I⟩². Of n independent speckles the ratio
+/// // has a standard deviation of about √(4/n), by its linearisation; five of that.
+/// let ratio: f64 = mean(&|i| i * i) / mean(&|i| i).powi(2);
+/// assert!((ratio - 2.0).abs() < 5.0 * (4.0 / pattern.phasors as f64).sqrt());
+/// ```
 #[derive(Debug, Clone)]
 pub struct Pattern {
+    /// N, texels along each side.
     pub size: usize,
     /// Amplitudes A(s,t); |A|² has mean 1.
     pub field: Vec<Complex32>,
@@ -122,6 +141,7 @@ pub struct Pattern {
 }
 
 impl Pattern {
+    /// |field|² row by row; its mean over the period is about 1.
     pub fn intensity(&self) -> impl Iterator<Item = f32> + '_ {
         self.field.iter().map(Complex32::norm_sqr)
     }

@@ -22,6 +22,7 @@ use serde::Serialize;
 /// Everything measured of one pattern spec.
 #[derive(Debug, Clone, Serialize)]
 pub struct SpeckleStatistics {
+    /// What was made.
     pub spec: PatternSpec,
     /// Patterns made from seeds of their own.
     pub realisations: usize,
@@ -29,10 +30,15 @@ pub struct SpeckleStatistics {
     pub independent_speckles: usize,
     /// Contrast σ/⟨I⟩ at a point.
     pub contrast: Check,
+    /// Law of the intensity at a point.
     pub exponential: KolmogorovSmirnov,
+    /// Shape and size of the grain.
     pub autocovariance: Autocovariance,
+    /// For pixels of several sizes.
     pub pixel_integration: Vec<PixelIntegration>,
+    /// From one slice of the ring to the next.
     pub slices: SliceStatistics,
+    /// All checks pass.
     pub pass: bool,
 }
 
@@ -40,13 +46,16 @@ pub struct SpeckleStatistics {
 /// where the autocovariance is below 0.002 and they count as independent.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KolmogorovSmirnov {
+    /// Number of intensities.
     pub samples: usize,
     /// Greatest distance of the distributions.
     pub distance: f64,
     /// Distance exceeded with probability `false_alarm_rate`: 2.2253/√n
     /// (Kolmogorov's asymptotic law).
     pub critical: f64,
+    /// Probability that a right pattern fails.
     pub false_alarm_rate: f64,
+    /// `distance` is not above `critical`.
     pub pass: bool,
 }
 
@@ -55,13 +64,18 @@ pub struct KolmogorovSmirnov {
 pub struct Autocovariance {
     /// Along s and along t, at lags of 0, 1, 2 … texels.
     pub along_s: Vec<f64>,
+    /// Along t.
     pub along_t: Vec<f64>,
+    /// |μ|² along s.
     pub theory_s: Vec<f64>,
+    /// |μ|² along t.
     pub theory_t: Vec<f64>,
     /// Greatest deviation over all lags, slanting ones too, within four
     /// grains.
     pub largest_error: f64,
+    /// Deviation that passes.
     pub tolerance: f64,
+    /// `largest_error` is not above `tolerance`.
     pub pass: bool,
 }
 
@@ -70,6 +84,7 @@ pub struct Autocovariance {
 pub struct PixelIntegration {
     /// p/h.
     pub q: f64,
+    /// Contrast σ/⟨I⟩ of the integrals.
     pub contrast: Check,
 }
 

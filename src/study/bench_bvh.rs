@@ -12,10 +12,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// `bench.json`.
 #[derive(Debug, Serialize)]
 pub struct BvhBench {
+    /// The mesh file.
     pub mesh: PathBuf,
+    /// What each racer did.
     #[serde(flatten)]
     pub race: Race,
+    /// Where this was written.
     pub json: PathBuf,
+    /// Where the picture was written.
     pub picture: PathBuf,
 }
 

@@ -41,13 +41,21 @@ const RIM_PX: f64 = 2.0;
 /// `summary.json`.
 #[derive(Debug, Serialize)]
 pub struct CalibrationSummary {
+    /// The scene file.
     pub scene: PathBuf,
+    /// Poses of the target.
     pub views: u32,
+    /// Dots seen in all views.
     pub dots: usize,
+    /// Columns with a line in all views.
     pub line_points: usize,
+    /// Noise of a dot's coordinates, px, as it was drawn.
     pub dot_sigma_px: f64,
+    /// Noise of a peak's row, px, estimated from the residuals.
     pub line_sigma_px: f64,
+    /// Steps that the adjustment took.
     pub iterations: usize,
+    /// One for each estimated parameter.
     pub parameters: Vec<ParameterResult>,
     /// Of all errors together, by the estimated covariance; its mean and standard
     /// deviation are n and √2n for n parameters.
@@ -55,19 +63,26 @@ pub struct CalibrationSummary {
     /// Root mean square over the sensor of how far points of the laser plane are
     /// measured from where they are, and as the covariance predicts.
     pub point_error_um: f64,
+    /// As the covariance predicts it.
     pub point_uncertainty_um: f64,
+    /// What the images were made with.
     pub true_values: Calibration,
+    /// What was found.
     pub estimates: Calibration,
+    /// Where the estimates were written.
     pub calibration: PathBuf,
+    /// Where the picture of the residuals was written.
     pub picture: PathBuf,
 }
 
 /// An estimated parameter beside the truth.
 #[derive(Debug, Serialize)]
 pub struct ParameterResult {
+    /// Its name, with its unit.
     pub parameter: &'static str,
     /// Estimate minus true value.
     pub error: f64,
+    /// From the covariance, in the parameter's unit.
     pub standard_uncertainty: f64,
     /// Their ratio.
     pub normalised_error: f64,

@@ -31,31 +31,43 @@ pub struct ChartEffort {
 /// differ; times are of one core.
 #[derive(Debug, Serialize)]
 pub struct Chart {
+    /// The scene file.
     pub scene: PathBuf,
+    /// Numbers of the frames that were done.
     pub frames: Vec<u32>,
+    /// Times that each frame was done.
     pub rounds: u32,
+    /// The scene's tolerance, if it states one.
     pub tolerance_um: Option<f64>,
     /// What speckle alone does to 1 of 100 points or more, if that is beyond the
     /// tolerance.
     pub speckle_limit_um: Option<f64>,
     /// The first is the full model, the others' truth.
     pub rows: Vec<ChartRow>,
+    /// Where the chart was written.
     pub picture: PathBuf,
+    /// Where this was written.
     pub json: PathBuf,
 }
 
 /// One way of doing the frames.
 #[derive(Debug, Serialize)]
 pub struct ChartRow {
+    /// What the chart calls it.
     pub name: String,
+    /// Which effects are modelled, and how.
     pub plan: Plan,
+    /// How the line's row is found.
     pub finder: PeakFinder,
+    /// Which pixels are traced.
     pub coverage: crate::run::Coverage,
+    /// What finds the triangles rays meet.
     pub intersection: String,
     /// Lower quartile, median and upper quartile over frames and rounds, ms.
     pub ms: [f64; 3],
     /// Predicted by the plan for the scene's tolerance, ms.
     pub predicted_ms: Option<f64>,
+    /// Frames per second at the median time.
     pub frames_per_s: f64,
     /// Times as fast as the full model.
     pub speed_up: f64,

@@ -17,6 +17,7 @@ use std::time::Instant;
 /// Whether a plan does what it promised.
 #[derive(Debug, Clone, Serialize)]
 pub struct Kept {
+    /// The plan that was judged.
     pub plan: Plan,
     /// Frames taken: those of the ones asked for that the plan was not made from.
     pub frames: Vec<u32>,

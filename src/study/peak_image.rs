@@ -24,6 +24,7 @@ pub enum LineAlong {
 /// Counts of an image; transposed where the line runs along rows.
 #[derive(Debug)]
 pub struct GreyImage {
+    /// With the line along the rows of this.
     pub counts: Counts,
     /// Highest count of the format.
     pub max_count: u16,
@@ -33,20 +34,30 @@ pub struct GreyImage {
 /// `line.json`.
 #[derive(Debug, Serialize)]
 pub struct ImageSummary {
+    /// The image file.
     pub image: PathBuf,
+    /// How the line runs.
     pub line_along: LineAlong,
+    /// Columns in which a line was looked for; rows if it runs along these.
     pub columns: usize,
+    /// One for each finder.
     pub finders: Vec<FoundLine>,
+    /// Where the table of points was written.
     pub table: PathBuf,
+    /// Where the picture was written.
     pub picture: PathBuf,
 }
 
 /// What one finder found.
 #[derive(Debug, Serialize)]
 pub struct FoundLine {
+    /// Which one.
     pub finder: PeakFinder,
+    /// Points it found.
     pub points: usize,
+    /// Points with a flag.
     pub flagged: usize,
+    /// Median standard deviation of the line across its length.
     pub median_sigma_px: f64,
 }
 
@@ -96,6 +107,7 @@ pub fn parse_image(path: &Path, bytes: &[u8], line_along: LineAlong) -> Result<G
 }
 
 impl GreyImage {
+    /// The line by one finder, the strongest in each column.
     pub fn peaks(&self, finder: PeakFinder) -> Vec<Peak> {
         let settings = PeakSettings {
             finder,

@@ -19,16 +19,22 @@ use std::path::{Path, PathBuf};
 pub struct PeakChart {
     /// What all axes but their own quantity have.
     pub base: Condition,
+    /// One for each quantity that is changed.
     pub axes: Vec<ChartAxis>,
+    /// Where the picture was written.
     pub picture: PathBuf,
 }
 
 /// What a finder does as one quantity changes.
 #[derive(Debug, Serialize)]
 pub struct ChartAxis {
+    /// Heading.
     pub title: &'static str,
+    /// What changes, with its unit.
     pub quantity: &'static str,
+    /// Its values, in rising order.
     pub values: Vec<f64>,
+    /// The whole condition at each value.
     pub conditions: Vec<Condition>,
     /// For each finder, for each value.
     pub finders: Vec<(PeakFinder, Vec<Option<FinderError>>)>,

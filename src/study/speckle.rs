@@ -17,18 +17,24 @@ use std::time::Instant;
 /// What `lasertrace speckle` found.
 #[derive(Debug, Serialize)]
 pub struct SpeckleSummary {
+    /// Checked against theory.
     pub statistics: SpeckleStatistics,
     /// Making all slices for the field method, once.
     pub seconds_patterns: f64,
+    /// What the slices take in memory, MB.
     pub megabytes_patterns: f64,
+    /// One for each lens of the picture.
     pub grains: Vec<Grain>,
+    /// Where the pattern was written.
     pub pattern: PathBuf,
+    /// Where the picture was written.
     pub picture: PathBuf,
 }
 
 /// A lens of the picture: the grain it should have and has.
 #[derive(Debug, Clone, Serialize)]
 pub struct Grain {
+    /// N of the lens.
     pub f_number: f64,
     /// Minimal speckle size h = λN(1 + m).
     pub h_um: f64,

@@ -15,17 +15,23 @@ use std::path::{Path, PathBuf};
 /// `uncertainty.json`.
 #[derive(Debug, Serialize)]
 pub struct MonteCarlo {
+    /// The scene file.
     pub scene: PathBuf,
+    /// Number of the frame.
     pub frame: u32,
+    /// Times the frame was taken, each with its own noise and speckle.
     pub seeds: u64,
     /// Peaks in the domain of the prediction, of all that were found.
     pub points: usize,
+    /// Peaks in all.
     pub found: usize,
     /// Share of the 95 % intervals that hold the truth; `null` without points.
     pub coverage: Option<f64>,
     /// Root mean square of error over predicted uncertainty.
     pub error_over_predicted: Option<f64>,
+    /// One for each column with a line.
     pub columns: Vec<ColumnUncertainty>,
+    /// Where the picture was written.
     pub picture: PathBuf,
 }
 

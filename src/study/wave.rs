@@ -34,12 +34,14 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 pub struct WaveEffort {
     /// Independent rough surfaces a row.
     pub realisations: u64,
+    /// Of the rough surfaces.
     pub seed: u64,
 }
 
 /// One motion: by waves, by formula, and as the pattern lookup shows it.
 #[derive(Debug, Serialize)]
 pub struct ComparedMotion {
+    /// Waves and formula.
     #[serde(flatten)]
     pub row: MotionRow,
     /// Correlation of intensities read from the fields of two frames, δ and φ apart;
@@ -50,6 +52,7 @@ pub struct ComparedMotion {
 /// `wave.json`.
 #[derive(Debug, Serialize)]
 pub struct WaveSummary {
+    /// One for each motion.
     pub motions: Vec<ComparedMotion>,
     /// Grains on the sensor; of a scene where it sees the patch.
     pub grains: Vec<GrainRow>,
@@ -57,6 +60,7 @@ pub struct WaveSummary {
     pub centroids: Vec<CentroidRow>,
     /// Empty for a scene's patch.
     pub spots: Vec<SpotRow>,
+    /// Where the pictures were written.
     pub pictures: Vec<PathBuf>,
 }
 

@@ -22,14 +22,17 @@ const AIRY_SIGMA: f64 = 0.42;
 /// A line laser and a camera straight above a plane, in focus.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct LineSetup {
+    /// Wavelength of the laser.
     pub wavelength_mm: f64,
     /// Pupil to surface L_o (mm).
     pub distance: f64,
+    /// Of the camera's lens, mm.
     pub pupil_diameter: f64,
     /// 1/e² radii w = 2σ of the line on the surface, in grains h_o = λL_o/D.
     pub widths_grains: Vec<f64>,
     /// Independent surfaces, 2 or more; each gives about 24 independent rows.
     pub realisations: u64,
+    /// Of the rough surfaces.
     pub seed: u64,
 }
 

@@ -25,6 +25,7 @@ const HALF_WIDTH: f64 = 0.514_497;
 /// Where grains are measured, behind a circular pupil about the origin, across the z axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GrainCase {
+    /// Place and direction in words.
     pub name: String,
     /// On the sensor, mm.
     pub place: DVec3,
@@ -35,6 +36,7 @@ pub struct GrainCase {
 /// Full width at half maximum of the autocovariance along a direction, µm.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct GrainRow {
+    /// Place and direction in words.
     pub name: String,
     /// 1.029·λ/(D·|Mᵀe|); see [`grain_lengths`].
     pub law_um: f64,

@@ -41,9 +41,11 @@ pub struct Scatterer {
 /// A circular pupil.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pupil {
+    /// mm.
     pub centre: DVec3,
     /// Unit vectors across the axis; `right` × `up` points away from the object.
     pub right: DVec3,
+    /// Unit vector, across `right`.
     pub up: DVec3,
     /// mm.
     pub diameter: f64,
@@ -62,7 +64,9 @@ impl Pupil {
 /// other side, so the window must be as wide as the patch and its blur.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageGrid {
+    /// Pixels along each side.
     pub pixels: usize,
+    /// Pitch of the pixels in the plane in focus.
     pub pixel_mm: f64,
     /// Distance L_f from the pupil to the plane in focus (mm).
     pub focus_distance: f64,
@@ -78,7 +82,9 @@ impl ImageGrid {
 /// The field at the pupil, sampled on a square grid.
 #[derive(Debug, Clone)]
 pub struct PupilField {
+    /// Where it was sampled.
     pub pupil: Pupil,
+    /// Wavelength of the light.
     pub wavelength_mm: f64,
     /// Spacing of the samples (mm).
     pub pitch: f64,
@@ -93,7 +99,9 @@ pub struct PupilField {
 /// An image: mean intensity over each pixel, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WaveImage {
+    /// Where the pixels are.
     pub grid: ImageGrid,
+    /// |field|², in the square of the unit that scatterers have.
     pub intensity: Vec<f64>,
 }
 

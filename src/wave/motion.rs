@@ -25,19 +25,24 @@ const SCATTERERS_PER_GRAIN: f64 = 8.0;
 /// A motion to measure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionCase {
+    /// The motion in words.
     pub name: String,
+    /// Where the surface is between laser and camera.
     pub view: SurfaceView,
+    /// Of the surface.
     pub motion: Motion,
 }
 
 /// How much to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct WaveSampling {
+    /// Wavelength of the laser.
     pub wavelength_mm: f64,
     /// Width of the compared image region in grains λL_f/D.
     pub region_grains: f64,
     /// Independent surfaces, 2 or more; error bars shrink as 1/√.
     pub realisations: u64,
+    /// Of the rough surfaces.
     pub seed: u64,
 }
 
@@ -45,6 +50,7 @@ pub struct WaveSampling {
 /// sensor (µm), intervals cover 95 %.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct MotionRow {
+    /// The motion in words.
     pub name: String,
     /// |A_p|/D of the tensor formula.
     pub delta: f64,
@@ -56,6 +62,7 @@ pub struct MotionRow {
     pub gamma_overlap: f64,
     /// Overlap law with the defocus of the motion along the viewing ray.
     pub gamma_defocused: f64,
+    /// Of the pattern, by the formula: along columns and rows.
     pub displacement_um: [f64; 2],
     /// Waves; `displacement` in mm on the sensor.
     pub waves: PairCorrelation,

@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 /// A plane rough patch (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patch {
+    /// Middle of the parallelogram.
     pub centre: DVec3,
     /// Unit.
     pub normal: DVec3,
@@ -26,6 +27,7 @@ pub struct Patch {
 /// A scatterer of the surface before it is lit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoughPoint {
+    /// mm.
     pub position: DVec3,
     /// √reflectivity, mean square 1.
     pub strength: f64,

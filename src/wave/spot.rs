@@ -37,22 +37,26 @@ pub enum SpotShape {
 /// midway between laser and camera: the camera sees a round spot.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpotSetup {
+    /// Wavelength of the laser.
     pub wavelength_mm: f64,
     /// Sine of half the angle under which the surface sees the pupil, D/(2L).
     pub sin_aperture: f64,
     /// Angle between laser beam and viewing ray, rad.
     pub triangulation: f64,
+    /// How light is spread over the spot.
     pub shape: SpotShape,
     /// Radius of the spot in grains h_o = λ/(2·sin u).
     pub radius_grains: f64,
     /// Independent surfaces, 2 or more.
     pub realisations: u64,
+    /// Of the rough surfaces.
     pub seed: u64,
 }
 
 /// Height noise of one sensor.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SpotRow {
+    /// The sensor and its spot.
     #[serde(flatten)]
     pub setup: SpotSetup,
     /// λ/(2π·sin u·sin θ), µm.
