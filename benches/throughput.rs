@@ -12,7 +12,7 @@ mod waves;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use lasertrace::accel::Clusters;
-use lasertrace::frame::{Grid, Region, Sampling, Sheet, irradiance};
+use lasertrace::frame::{Region, Sampling, Sheet, irradiance};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use pairs::{print_ratio, seconds};
@@ -146,7 +146,7 @@ mod bare {
 
     pub fn against_integrator(simulation: &Simulation) {
         let mut view = simulation.view(480);
-        (view.grid, view.speckle) = (Grid::Gauss { per_side: 1 }, None);
+        (view.grid, view.speckle) = (lasertrace::frame::Grid::Gauss { per_side: 1 }, None);
         let mesh = &simulation.scene.mesh;
         let embree = BareEmbree::build(mesh, true, 1).unwrap();
         let eye = view.part_from_camera.translation;

@@ -100,6 +100,7 @@ fn white(scene: &Scene) -> f64 {
     f64::from(scene.camera.sensor.max_count())
 }
 
+#[expect(clippy::too_many_lines, reason = "one picture after the other")]
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().nth(1).unwrap_or("docs/bergmann".into());
     let folder = Path::new(&folder);

@@ -12,7 +12,7 @@ export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
-small) page=$out/small.md rays=200000 surfaces=8 seconds=3 profile= ;;
+small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= ;;
 long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release ;;
 *) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
 esac
@@ -58,17 +58,21 @@ figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; 
 case $figure in '0 lost and 0 false of '[1-9]*) ;; *) met=no ;; esac
 row 'rays aimed at vertices and edges of closed meshes' "$figure" 'none' "$met" "$command"
 
-command="cargo run $profile -- wave --quiet --realisations $surfaces -o $out/wave"
-# shellcheck disable=SC2086
-try wave $command
-# 17 rows, each outside its 95 % interval once in 20: more than 5 once in 6000 draws (intervals
-# of few surfaces are somewhat narrow). Seen at 80° the law is known to be off (LIMITS.md).
-# Columns: name, δ, law, texture, waves (low–high).
-figure=$(grep -v '^camera at 80' "$log" |
+if [ "$surfaces" = 0 ]; then
+    skip 'decorrelation of speckle against wave optics' 'at most 5 outside their 95 % interval' 'not in the small form' 'lasertrace wave'
+else
+    command="cargo run $profile -- wave --quiet --realisations $surfaces -o $out/wave"
+    # shellcheck disable=SC2086
+    try wave $command
+    # 17 rows, each outside its 95 % interval once in 20: more than 5 once in 6000 draws (intervals
+    # of few surfaces are somewhat narrow). Seen at 80° the law is known to be off (LIMITS.md).
+    # Columns: name, δ, law, texture, waves (low–high).
+    figure=$(grep -v '^camera at 80' "$log" |
     sed -nE 's/^[a-z].* +[0-9.]+ +([0-9.]+) +[0-9.]+ +[0-9.]+ \(([0-9.]+)–([0-9.]+)\).*/\1 \2 \3/p' |
     awk '{ outside += $1 < $2 || $1 > $3 } END { print outside + 0 " of " NR " rows outside" }')
-case $figure in [0-5]' of 17 rows outside') ;; *) met=no ;; esac
-row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
+    case $figure in [0-5]' of 17 rows outside') ;; *) met=no ;; esac
+    row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
+fi
 
 command='cargo test --test limits_mutated -- --nocapture'
 LASERTRACE_FUZZ_SECONDS=$seconds

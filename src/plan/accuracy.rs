@@ -1,47 +1,11 @@
 //! What a tolerance of height asks, which plans there are to choose from, and what is said of
 //! the one that is chosen.
 
-use super::height_error::{HeightError, PROMISED_SHARE};
-use super::rules::Plan;
+pub use super::chosen::Accuracy;
+use super::chosen::Plan;
+use super::height_error::HeightError;
 use crate::frame::Sampling;
 use crate::math::Aperture;
-use serde::Serialize;
-
-/// What was promised, and what is predicted.
-#[derive(Debug, Clone, Serialize)]
-pub struct Accuracy {
-    /// Stated by the scene, µm.
-    pub tolerance_um: f64,
-    /// Error against the full model that was planned for, µm: the tolerance, or what
-    /// speckle leaves of its meaning.
-    pub planned_um: f64,
-    /// By what speckle alone moves heights in 1 of 100 points or more, µm, if that is more
-    /// than the tolerance: with these optics no single point is surer.
-    pub speckle_limit_um: Option<f64>,
-    /// Error against the full model in the frames looked at: 99 of 100 points by less, µm.
-    /// `None` if more are lost.
-    pub predicted_um: Option<f64>,
-    /// Share of the points looked at that are off by more than `planned_um`, or found by
-    /// one of the two only.
-    pub predicted_share: f64,
-    /// Upper limit of that share over the scan, at 95 % confidence.
-    pub share_at_most: f64,
-    /// Share of the points that the full model itself moves by more than `planned_um` when
-    /// it takes half as many samples along each side of a pixel.
-    pub unsettled_share: f64,
-    /// Whether the plan is good enough; no plan is, if not.
-    pub sufficient: bool,
-    /// Predicted time of one frame on one core, ms.
-    pub cost_ms: f64,
-    /// The same of the scene without a tolerance.
-    pub cost_without_ms: f64,
-    /// Frames looked at for it, and the points in their parts that were.
-    pub pilot_frames: Vec<u32>,
-    /// Number of points of these frames that were looked at.
-    pub pilot_points: usize,
-    /// All this in words.
-    pub statement: String,
-}
 
 /// What a point of a pilot frame tells.
 #[derive(Debug, Clone, Copy)]
@@ -141,57 +105,4 @@ pub fn no_finer(plan: &Plan, other: &Plan) -> bool {
         && rays(plan) <= rays(other)
         && plan.samples_per_side <= other.samples_per_side
         && plan.cutoff_radii <= other.cutoff_radii
-}
-
-impl Accuracy {
-    /// What [`Accuracy::statement`] says; `modelled`: speckle is.
-    pub fn in_words(&self, modelled: bool) -> String {
-        let Accuracy {
-            tolerance_um,
-            planned_um,
-            pilot_points,
-            ..
-        } = self;
-        if *pilot_points == 0 {
-            return "no frame that was looked at has a line: nothing could be predicted".into();
-        }
-        let how = match modelled {
-            true => "It is modelled, and all else",
-            false => "It is left out by name, and all is planned",
-        };
-        let limit = self.speckle_limit_um.map(|limit| {
-            format!(
-                "no sensor with these optics measures single points to {tolerance_um} µm: \
-                 speckle alone moves 1 of 100 by more than {limit:.2} µm. {how} to \
-                 {planned_um:.2} µm. "
-            )
-        });
-        let predicted = self.predicted_um.map_or(
-            "more than 1 of 100 points are lost or found where the full model has none".into(),
-            |um| format!("within {um:.2} µm of the full model in 99 of 100 points"),
-        );
-        let sure = format!(
-            "; of {pilot_points} points in {} frames {:.2} % are further off than \
-             {planned_um:.2} µm, of the scan at most {:.1} % (95 % confidence)",
-            self.pilot_frames.len(),
-            100.0 * self.predicted_share,
-            100.0 * self.share_at_most
-        );
-        let verdict = match self.sufficient {
-            true => "",
-            false if self.predicted_share <= PROMISED_SHARE => {
-                "; so few points cannot say that at most 1 % are, and no method here does better"
-            }
-            false => "; no method here does better, and it is not enough",
-        };
-        let unsettled = match self.unsettled_share > PROMISED_SHARE {
-            true => format!(
-                "; the full model itself has not settled: with half as many samples a side it \
-                 moves {:.1} % of the points further than that",
-                100.0 * self.unsettled_share
-            ),
-            false => String::new(),
-        };
-        limit.unwrap_or_default() + &format!("predicted: {predicted}{sure}{verdict}{unsettled}")
-    }
 }

@@ -1,7 +1,7 @@
 //! What a plan costs: predicted from counts of what a frame does.
 
 use super::accuracy::Pilot;
-use super::rules::Plan;
+use super::chosen::Plan;
 use crate::frame::Sampling;
 use crate::speckle::lookup::Method;
 

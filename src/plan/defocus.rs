@@ -1,8 +1,8 @@
 //! What the plan says of the lens's blur, which images do not have.
 
 use super::accuracy::{Pilot, PilotPoint};
+use super::chosen::{Effect, Plan, SpeckleOptics};
 use super::height_error::HeightError;
-use super::rules::{Effect, Plan, SpeckleOptics};
 use crate::speckle::theory::{centroid_noise, defocus_noise};
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,6 +1,7 @@
 //! What a scene needs: which effects move its heights, by which method, at what cost.
 
 pub mod accuracy;
+mod chosen;
 mod cost;
 mod cutoff;
 mod defocus;
@@ -10,5 +11,5 @@ pub mod in_view;
 pub mod rules;
 pub mod words;
 
+pub use chosen::Plan;
 pub use grain_extent::GrainExtent;
-pub use rules::Plan;

@@ -1,136 +1,16 @@
 //! Which effects are modelled and how finely, and why: no more than the scene
 //! needs.
 
-use super::accuracy::Accuracy;
+pub use super::chosen::{Effect, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
 use super::grain_extent::GrainExtent;
 use super::in_view::Optics;
 use crate::frame::Sampling;
 use crate::frame::sampling_error;
-use crate::math::Aperture;
 use crate::math::{DVec2, DVec3};
 use crate::speckle::lookup::Method;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
-use serde::Serialize;
-
-/// What a frame of this scene needs. Each way of doing it is a value here.
-#[derive(Debug, Clone, Serialize)]
-pub struct Plan {
-    /// Profiles come from laser rays and the camera's view of them, without images.
-    pub geometry_only: bool,
-    /// How speckle is read; `None`: light is taken as incoherent.
-    pub speckle: Option<Method>,
-    /// Whether counts have the sensor's noise, if the scene gives any.
-    pub noise: bool,
-    /// Samples along each side of a pixel.
-    pub samples_per_side: u32,
-    /// Which samples are traced.
-    pub sampling: Sampling,
-    /// Beam radii at which light is taken to end.
-    pub cutoff_radii: f64,
-    /// 1/e² half width of the line's image where it is narrowest on the part, for
-    /// a surface across the beam, pixels.
-    pub line_half_width_px: f64,
-    /// Speckle on the sensor where it may see the line.
-    #[serde(flatten)]
-    pub grain: GrainExtent,
-    /// Blur of the lens where the laser plane crosses the part, at its largest,
-    /// pixels; not modelled.
-    pub defocus_blur_px: f64,
-    /// Share whose blur is wider than two standard deviations of the line: of the points of
-    /// the frames the plan looked at, without a tolerance of places of the laser plane.
-    pub blurred_share: f64,
-    /// How many times as far speckle moves centroids under that blur as in sharp images, at
-    /// most; 1 without speckle.
-    pub defocus_noise_factor: f64,
-    /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
-    pub airy_radius_px: f64,
-    /// Movement of the line's image for 1 mm along the beam, pixels per mm.
-    pub px_per_mm: f64,
-    /// Tilt that brings the laser plane into focus, degrees.
-    pub scheimpflug_tilt_deg: Option<[f64; 2]>,
-    /// Distance along the optical axis at which the laser plane meets it, mm: to
-    /// be in focus with that tilt, the lens must be focused there.
-    pub laser_plane_distance_mm: Option<f64>,
-    /// Whether the pattern slips on surfaces out of focus as they move.
-    pub speckle_slips: bool,
-    /// Every effect with its method and the reason.
-    pub effects: Vec<Effect>,
-    /// `None`: the scene states no tolerance.
-    pub accuracy: Option<Accuracy>,
-}
-
-/// One line of the plan.
-#[derive(Debug, Clone, Serialize)]
-pub struct Effect {
-    /// Name of the effect, as outputs show it.
-    pub effect: &'static str,
-    /// Whether results have it.
-    pub modelled: bool,
-    /// How it is modelled, or that it is not, in words.
-    pub method: String,
-    /// The reason, with the numbers that decided.
-    pub why: String,
-    /// How far it moves heights, or what is left of it does: 99 of 100 points by less,
-    /// µm. `None` without a tolerance, and where no formula says it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub influence_um: Option<f64>,
-    /// Predicted cost of modelling it, ms of one core a frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cost_ms: Option<f64>,
-}
-
-impl Effect {
-    /// Without influence and cost.
-    pub fn new(effect: &'static str, modelled: bool, method: String, why: String) -> Effect {
-        Effect {
-            effect,
-            modelled,
-            method,
-            why,
-            influence_um: None,
-            cost_ms: None,
-        }
-    }
-}
-
-/// What the plan must know of speckle.
-#[derive(Debug, Clone)]
-pub struct SpeckleOptics {
-    /// Shape of the lens's pupil.
-    pub aperture: Aperture,
-    /// Contrast of the light itself, 1 if it is polarised and of one wavelength.
-    pub contrast: f64,
-    /// How speckle is read.
-    pub method: Method,
-    /// Of pairs of frames ever further apart; none if slip cannot be modelled.
-    pub steps: Vec<SpeckleStep>,
-}
-
-/// What the plan must know of the motion in one exposure.
-#[derive(Debug, Clone, Copy)]
-pub struct ExposureMotion {
-    /// Of the head over the part, mm.
-    pub way: f64,
-    /// Poses whose light is averaged.
-    pub poses: u32,
-}
-
-/// What the scan's way from one frame to another does to the speckle of a surface point.
-#[derive(Debug, Clone, Copy)]
-pub struct SpeckleStep {
-    /// Number of frames that the two lie apart.
-    pub frames: u32,
-    /// Way of the point across the laser's sheet, mm.
-    pub across_sheet: f64,
-    /// Correlation γ of its intensities before and after.
-    pub gamma: f64,
-    /// Slip of the pattern on a surface of defocus 1 − L_f/L_o = 1, grains.
-    pub slip_grains: f64,
-    /// Greatest way by which places of the view move otherwise than its middle, grains.
-    pub spread_grains: f64,
-}
 
 /// Error of the correlation of two frames up to which the pattern's slip is left out:
 /// what correlations of the patterns are good to.

@@ -1,6 +1,7 @@
 //! How the plan chooses samples.
 
 use super::*;
+use crate::math::Aperture;
 
 #[test]
 fn narrow_lines_and_fine_grain_need_more_samples() {

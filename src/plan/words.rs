@@ -1,6 +1,6 @@
 //! Plans in words.
 
-use super::Plan;
+use super::chosen::Plan;
 use crate::frame::Sampling;
 use crate::speckle::lookup::Method;
 

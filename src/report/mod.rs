@@ -1,7 +1,7 @@
 //! How results look: page, plots, pictures, and the forms of the cloud.
 
 pub mod accuracy_chart;
-pub mod axes;
+pub(crate) mod axes;
 pub mod chart;
 pub mod color;
 pub mod formats;
@@ -12,7 +12,7 @@ pub mod ply;
 pub mod race_plot;
 pub mod residual_picture;
 pub mod setup;
-pub mod svg;
+pub(crate) mod svg;
 pub mod uncertainty_plot;
 pub mod viewer;
 pub mod wave_plot;
