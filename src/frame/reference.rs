@@ -19,14 +19,14 @@ pub struct Strips {
     pub along: DVec2,
     /// The view at which the laser's wavefront is taken, in the camera's frame.
     pub view: SurfaceView,
-    /// The two that the pupil lies across.
+    /// The two strips that the pupil stands on.
     pub strips: [Reference; 2],
 }
 
 /// A strip and the pose it refers to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reference {
-    /// Which one, and how it is weighted.
+    /// The strip as it is read.
     pub strip: Strip,
     /// From where the part is, in the camera's frame, to where it was.
     pub then_from_now: Rigid,

@@ -21,7 +21,7 @@ pub enum Purpose {
     RaceRays = 16,
     /// What each box of the tree in Rust is widened by.
     BoxPadding = 17,
-    /// Places at which the plan looks at frames.
+    /// Rays by which the plan finds what of the part is in view.
     PlanRays = 18,
 }
 

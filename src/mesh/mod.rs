@@ -50,7 +50,8 @@ pub type Watch<'a> = dyn Fn(f64) -> Result<(), Error> + Sync + 'a;
 pub struct Mesh {
     /// Vertices, mm.
     pub positions: Vec<DVec3>,
-    /// Three indices into `positions`, counter-clockwise seen from outside.
+    /// Three indices into `positions`, in the file's order: counter-clockwise seen from outside
+    /// where the file keeps that convention.
     pub triangles: Vec<[u32; 3]>,
 }
 

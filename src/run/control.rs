@@ -22,7 +22,8 @@ pub struct Control<'a> {
     /// Called with the share of the hierarchy that is built, from any thread, before
     /// there are frames; `None`: nobody looks.
     pub building: Option<&'a (dyn Fn(f64) + Sync)>,
-    /// Set by anyone, from any thread: the run ends at the next frame and can be resumed.
+    /// Set by anyone, from any thread: the work ends with [`Error::Interrupted`] where it next
+    /// asks, a scan after the frames that are in work; it can be resumed.
     pub stop: &'a AtomicBool,
 }
 

@@ -59,7 +59,7 @@ pub fn scene_plan(scene: &Scene) -> Result<Plan> {
 
 impl Simulation {
     /// Plans the scene and builds all that its frames share. Errors: too little memory, a
-    /// failure of Embree, or a plan that the scene's tolerance does not allow.
+    /// failure of Embree. A tolerance that no plan keeps is no error: [`Plan::accuracy`] says so.
     pub fn new(scene: &Scene) -> Result<Simulation> {
         Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
     }
