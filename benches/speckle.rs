@@ -90,7 +90,6 @@ fn lookups(c: &mut Criterion) {
     for (name, method) in [
         ("ring, trilinear", Method::Trilinear),
         ("ring, field", Method::Field),
-        ("ring, prefiltered", Method::Prefiltered { q: 1.0 }),
     ] {
         let lookup = Lookup::new(&spec, method, Coherence::FULL).unwrap();
         println!("{name}: {} MB", lookup.memory() / 1_000_000);

@@ -20,7 +20,7 @@ fn endless(from: DVec3, to: DVec3) -> Ray {
     }
 }
 
-/// Triangles without area, corners a denormal apart, rays without length: a sound part
+/// Triangles without area, corners a denormal apart, rays without length: a valid part
 /// is met through them where it is, nothing else is, and every number is one.
 #[test]
 fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
@@ -31,8 +31,8 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
     }
     let tiny = DVec3::splat(5e-324);
     assert!(Rigid::from_z_and_x(p, tiny, DVec3::X).is_none_or(|pose| pose.rotation.is_finite()));
-    let sound = shapes::sphere(5.0, 0.01).unwrap();
-    let mut mesh = sound.clone();
+    let valid = shapes::sphere(5.0, 0.01).unwrap();
+    let mut mesh = valid.clone();
     let mut random = Random::new(9);
     for _ in 0..200 {
         let (a, way) = (random.direction() * 8.0, random.direction());
@@ -42,8 +42,8 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
             mesh.triangles.push([first, first + 1, first + 2]);
         }
     }
-    // Half of them at corners without area, half at the sound part, off its vertices.
-    let corners = &mesh.positions[sound.positions.len()..];
+    // Half of them at corners without area, half at the valid part, off its vertices.
+    let corners = &mesh.positions[valid.positions.len()..];
     let rays: Vec<Ray> = (0..4000)
         .map(|i| {
             let target = [corners[i % corners.len()], random.vector(2.0)][i % 2];
@@ -51,7 +51,7 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
         })
         .collect();
     for &backend in Backend::ALL {
-        let [with, without] = [&mesh, &sound]
+        let [with, without] = [&mesh, &valid]
             .map(|mesh| Accel::build_with(backend, &mesh.clone().into(), 1, &|_| Ok(())).unwrap());
         // Other corners make another box, and its f32 another side of the horizon.
         let mut off = 0;
@@ -59,7 +59,7 @@ fn zero_vectors_and_areas_give_no_hits_and_no_other_numbers() {
             if let Some(hit) = found {
                 assert!(hit.point.is_finite() && hit.normal.is_finite() && hit.t.is_finite());
                 assert!(
-                    (hit.face.triangle as usize) < sound.triangles.len(),
+                    (hit.face.triangle as usize) < valid.triangles.len(),
                     "{hit:?}"
                 );
             }

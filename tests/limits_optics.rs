@@ -22,8 +22,8 @@ fn assert_finite(scene: &Scene, what: &str) {
         Err(error) => return assert_eq!(error.exit_code(), 65, "{what}: {error}"),
     };
     let irradiance = simulation.irradiance(0);
-    let sound = |e: &f32| e.is_finite() && *e >= 0.0;
-    assert!(irradiance.dense().iter().all(sound), "{what}");
+    let valid = |e: &f32| e.is_finite() && *e >= 0.0;
+    assert!(irradiance.dense().iter().all(valid), "{what}");
     let (peaks, points) = simulation.measure(0, &simulation.counts(0, &irradiance));
     for p in &peaks {
         let numbers = [p.row, p.intensity, p.height, p.sigma, p.noise];
@@ -31,8 +31,8 @@ fn assert_finite(scene: &Scene, what: &str) {
     }
     for p in &points {
         let numbers = [p.deviation, p.sigma, p.deviation_sigma, p.intensity];
-        let sound = p.position.is_finite() && numbers.iter().all(|x| x.is_finite());
-        assert!(sound, "{what}: {p:?}");
+        let valid = p.position.is_finite() && numbers.iter().all(|x| x.is_finite());
+        assert!(valid, "{what}: {p:?}");
     }
 }
 

@@ -331,13 +331,13 @@ fn a_faceted_sphere_shades_itself_only_beyond_its_terminator() {
     assert!(dark[1] * 100 < all[1], "{dark:?} {all:?}");
 }
 
-/// A part wound inward, or every other triangle so, is met where the sound one is, by
+/// A part wound inward, or every other triangle so, is met where the valid one is, by
 /// normals towards the ray.
 #[test]
 fn winding_does_not_matter() {
-    let sound = shapes::step_block(DVec3::new(30.0, 20.0, 9.0), 2.0).unwrap();
+    let valid = shapes::step_block(DVec3::new(30.0, 20.0, 9.0), 2.0).unwrap();
     let turned = |every: usize| {
-        let mut mesh = sound.clone();
+        let mut mesh = valid.clone();
         mesh.triangles
             .iter_mut()
             .step_by(every)
@@ -348,7 +348,7 @@ fn winding_does_not_matter() {
     let rays: Vec<Ray> = (0..20_000)
         .map(|_| endless(random.direction() * 80.0, random.vector(14.0).with_z(4.0)))
         .collect();
-    let accel = Accel::build(&sound.clone().into(), 1).unwrap();
+    let accel = Accel::build(&valid.clone().into(), 1).unwrap();
     let truth = closest(&accel, &rays);
     for every in [1, 2, 3] {
         let mesh = turned(every);

@@ -280,12 +280,12 @@ fn twins_say_the_same_and_units_are_kept() {
     let far = load("d_offset_utm.obj", 1.0);
     assert!((far.bounds().size() - size).abs().max_element() < 2e-5);
     let inverted = mesh::report(&load("d_inside_out.stl", 1.0));
-    let sound = mesh::report(&plain);
+    let valid = mesh::report(&plain);
     assert_eq!(
-        (sound.orientation, inverted.orientation),
+        (valid.orientation, inverted.orientation),
         (Orientation::Outward, Orientation::Inward)
     );
-    assert!((sound.volume_mm3 + inverted.volume_mm3).abs() < 1e-9 * sound.volume_mm3);
+    assert!((valid.volume_mm3 + inverted.volume_mm3).abs() < 1e-9 * valid.volume_mm3);
 }
 
 const TETRAHEDRON: [[f32; 3]; 4] = [

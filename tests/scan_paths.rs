@@ -4,6 +4,7 @@
 mod program;
 
 use lasertrace::math::{DVec3, Rigid};
+use lasertrace::plan::rules::EffectKind;
 use lasertrace::run::{Simulation, scene_plan};
 use lasertrace::scene::Scene;
 use program::{PLANE, assert_error, folder_with, scene};
@@ -218,7 +219,7 @@ fn motion_in_the_exposure_widens_the_line_as_predicted() {
         let effect = plan
             .effects
             .iter()
-            .find(|e| e.effect == "motion during the exposure");
+            .find(|e| e.effect == EffectKind::ExposureMotion);
         effect.map(|e| (e.modelled, e.why.clone())).unwrap()
     };
     assert!(!effect(&rest).0 && effect(&rest).1.contains("no scan.frame_rate_hz"));

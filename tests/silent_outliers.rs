@@ -51,7 +51,7 @@ struct Tally {
     good: usize,
     suspected: usize,
     /// Without a flag, and of these within their 95 % interval.
-    sound: usize,
+    valid: usize,
     held: usize,
 }
 
@@ -60,7 +60,7 @@ impl Tally {
         self.points += points.len();
         for point in points {
             let flagged = !point.flags.is_empty();
-            self.sound += usize::from(!flagged);
+            self.valid += usize::from(!flagged);
             self.held += usize::from(!flagged && 2.0 * excess(point) <= 1.96);
             if excess(point) > 3.0 {
                 self.off += 1;
@@ -87,7 +87,7 @@ impl Tally {
 
     /// Share of the 95 % intervals of points without a flag that hold the truth.
     fn coverage(&self) -> f64 {
-        self.held as f64 / self.sound as f64
+        self.held as f64 / self.valid as f64
     }
 }
 

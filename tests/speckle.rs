@@ -8,9 +8,7 @@ use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::slices::Slices;
 use lasertrace::speckle::statistics::measure;
-use lasertrace::speckle::theory::{
-    centroid_noise, integrated_contrast, sampled_contrast, samples_across_pixel,
-};
+use lasertrace::speckle::theory::{centroid_noise, sampled_contrast, samples_across_pixel};
 
 const SPEC: PatternSpec = PatternSpec {
     size: 512,
@@ -96,16 +94,6 @@ fn assert_moments(what: &str, values: Vec<f64>, theory: f64) {
         (contrast / theory - 1.0).abs() < 0.01,
         "{what}: {contrast}, not {theory}"
     );
-}
-
-#[test]
-fn a_prefiltered_lookup_integrates_over_the_pixel() {
-    for (q, seeds) in [(0.5, 3), (1.0, 4), (4.0, 8)] {
-        let rings = rings(SPEC, Method::Prefiltered { q }, Coherence::FULL, seeds);
-        let values = readings(&rings, 5.3, |ring, at| ring.intensity(at) as f64);
-        let theory = integrated_contrast(Aperture::Circle, q);
-        assert_moments(&format!("q = {q}"), values, theory);
-    }
 }
 
 /// As many field readings a pixel as `samples_across_pixel` asks for.
@@ -305,8 +293,6 @@ fn impossible_specs_are_refused_by_name() {
         ..SPEC
     };
     assert!(refusal(nan, Method::Field, Coherence::FULL).contains("NaN"));
-    let pixel = refusal(SPEC, Method::Prefiltered { q: 0.1 }, Coherence::FULL);
-    assert!(pixel.contains("0.1"), "{pixel}");
     let over = Coherence {
         polarisation_degree: 1.2,
         ..Coherence::FULL

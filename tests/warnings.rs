@@ -38,7 +38,7 @@ fn points(scene: &Scene) -> Vec<CloudPoint> {
 #[track_caller]
 fn reasons_in(folder: &Path) -> Vec<Reason> {
     let (scene, checked) = checked(folder);
-    let valid = points(&scene).iter().filter(|p| p.is_sound()).count();
+    let valid = points(&scene).iter().filter(|p| p.is_valid()).count();
     assert_eq!(valid, 0, "{:?}", checked.warnings);
     checked.warnings.into_iter().map(|w| w.reason).collect()
 }
@@ -69,7 +69,7 @@ fn a_sensor_that_sees_its_part_gives_no_warning() {
         let (scene, checked) = checked(folder.path());
         assert_eq!(checked.warnings, [], "{seed}");
         let points = points(&scene);
-        let valid = points.iter().filter(|p| p.is_sound()).count();
+        let valid = points.iter().filter(|p| p.is_valid()).count();
         assert!(
             2 * valid > points.len() && valid > 30,
             "{seed}: {valid} of {}",

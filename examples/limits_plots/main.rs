@@ -297,7 +297,6 @@ fn lookups() -> Panel {
         let rings = rings(method);
         sizes.iter().map(|&q| off(&rings, q, 6)).collect()
     };
-    let prefiltered = |&q: &f64| off(&rings(Method::Prefiltered { q }), q, 1);
     Panel {
         title: "Contrast of speckle over a pixel",
         x: "pixel / grain",
@@ -311,10 +310,6 @@ fn lookups() -> Panel {
             Curve {
                 label: "fields, 6 × 6 readings",
                 points: by_readings(Method::Field),
-            },
-            Curve {
-                label: "prefiltered, one reading",
-                points: sizes[2..].iter().map(prefiltered).collect(),
             },
         ],
     }

@@ -137,13 +137,6 @@ impl Camera {
         slopes * self.speckle_angle(wavelength).recip()
     }
 
-    /// Pixel over grain in the middle of the sensor, as roots of their areas.
-    pub fn pixel_in_grains(&self, wavelength: f64) -> f64 {
-        let middle = self.sensor.resolution.as_dvec2() / 2.0;
-        let grains = self.grains_per_pixel(middle, wavelength);
-        grains.determinant().abs().sqrt()
-    }
-
     /// Minimal speckle size λ/D in the direction cosines of [`ChiefRays`], for a
     /// wavelength in mm.
     pub fn speckle_angle(&self, wavelength: f64) -> f64 {

@@ -212,7 +212,10 @@ fn effect_lines(effect: &Effect) -> String {
     };
     format!(
         "  {:<32}{modelled:<11}{}{numbers}\n{:>45}{}\n",
-        effect.effect, effect.method, "", effect.why
+        effect.effect.name(),
+        effect.method,
+        "",
+        effect.why
     )
 }
 

@@ -1,6 +1,7 @@
 use super::{CoverageArguments, Output, STOP, SceneArguments, show, warning_lines};
 use crate::run;
 use crate::run::Control;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use crate::error::Result;
 use crate::error::printable::path;
@@ -30,28 +31,22 @@ pub struct Arguments {
     strict: bool,
     /// Also write cloud.csv, cloud.e57, profiles.npy; intensity_dn is the sum of the line's
     /// counts above black in its column
-    #[arg(long, value_name = "FORMAT", value_delimiter = ',')]
-    also: Vec<Also>,
+    #[arg(long, value_name = "FORMAT", value_delimiter = ',', value_parser = formats())]
+    also: Vec<Format>,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Also {
-    Csv,
-    E57,
-    Npy,
-}
-
-impl Also {
-    fn format(self) -> Format {
-        match self {
-            Also::Csv => Format::Csv,
-            Also::E57 => Format::E57,
-            Also::Npy => Format::Npy,
-        }
-    }
+/// The form of the cloud that a file's ending names.
+fn formats() -> impl TypedValueParser<Value = Format> {
+    let form = |word: String| {
+        Format::ALL
+            .into_iter()
+            .find(|format| format.ending() == word)
+    };
+    PossibleValuesParser::new(Format::ALL.map(Format::ending))
+        .map(move |word| form(word).expect("it is a possible value"))
 }
 
 fn frames(text: &str) -> std::result::Result<Range<u32>, String> {
@@ -69,7 +64,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         resume: arguments.resume,
         geometry_only: arguments.geometry_only,
         strict: arguments.strict,
-        also: arguments.also.iter().map(|also| also.format()).collect(),
+        also: arguments.also,
     };
     let count = options
         .frames

@@ -4,7 +4,6 @@ use super::View;
 use super::irradiance::Irradiance;
 use super::light::Light;
 use super::pixels::middle;
-use super::reference::Seen;
 use super::speckle::Reader;
 use rayon::prelude::*;
 use wide::f32x4;
@@ -18,24 +17,25 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
     let speckle = view.speckle.as_ref();
     let reader = speckle.map(|speckle| Reader::new(speckle, view.camera, camera_from_laser));
-    let rows = (0..light.rows.pixels.rows).into_par_iter();
-    let values = rows.step_by(ROWS_PER_TASK).map(|first| {
-        let end = (first + ROWS_PER_TASK).min(light.rows.pixels.rows);
-        let rows = first..end;
-        let mut values = Vec::with_capacity(rows.clone().map(|row| light.rows.count(row)).sum());
-        for row in rows {
-            let columns = light.rows.pixels.of(row).zip(light.rows.start(row)..);
-            values.extend(columns.map(|(column, pixel)| {
-                exposed(
-                    &light,
-                    pixel,
-                    reader.as_ref().map(|reader| (reader, column, row)),
-                )
-            }));
+    let rows = &light.rows;
+    let mut values = vec![0.0; rows.total()];
+    let mut tasks = Vec::new();
+    let mut left = &mut values[..];
+    for first in (0..rows.pixels.rows).step_by(ROWS_PER_TASK) {
+        let end = (first + ROWS_PER_TASK).min(rows.pixels.rows);
+        let mine;
+        (mine, left) = left.split_at_mut(rows.start(end) - rows.start(first));
+        tasks.push((first..end, mine));
+    }
+    tasks.into_par_iter().for_each(|(task, values)| {
+        let first = rows.start(task.start);
+        for row in task {
+            for (column, pixel) in rows.pixels.of(row).zip(rows.start(row)..) {
+                let reader = reader.as_ref().map(|reader| (reader, column, row));
+                values[pixel - first] = exposed(&light, pixel, reader);
+            }
         }
-        values
     });
-    let values = values.collect::<Vec<Vec<f32>>>().concat();
     Irradiance::new(light.rows, values)
 }
 
@@ -54,12 +54,11 @@ fn exposed(light: &Light, pixel: usize, reader: Option<(&Reader, usize, usize)>)
         None => fours.map(weighted).sum(),
         Some(_) if samples.iter().all(|&irradiance| irradiance == 0.0) => return 0.0,
         Some((reader, column, row)) => {
-            let reader = reader.pixel(middle(column, row));
+            let mut reader = reader.pixel(middle(column, row));
             let seen = light.seen(pixel);
             let read = |(i, (four, irradiance)): (usize, (&super::grid::Four, &[f32]))| {
-                let surface = |k| seen.get(4 * i + k).copied().unwrap_or(Seen::default());
-                let surface = [0, 1, 2, 3].map(surface);
-                let speckle = reader.four(four.columns, four.rows, surface, four.count);
+                let seen = seen.get(4 * i..).unwrap_or(&[]);
+                let speckle = reader.four(four.columns, four.rows, seen, four.count);
                 weighted((four, irradiance)) * speckle
             };
             fours.enumerate().map(read).sum()

@@ -40,7 +40,7 @@ pub struct Light {
     pub(super) nodes: Nodes,
     /// mW/mm², pixel by pixel and sample by sample.
     irradiance: Vec<f32>,
-    /// The surface at each sample; empty where no one reads it.
+    /// The plane that each sample sees, and so its depth; empty where no one reads it.
     surface: Vec<Seen>,
 }
 
@@ -294,7 +294,7 @@ impl Frame<'_> {
             samples.copy_from_slice(&shares.to_array()[..samples.len()]);
         }
         if self.reads_surface {
-            task.surface[own].fill(Seen::new(lit, plane));
+            task.surface[own].fill(Seen::new(plane));
         }
         true
     }
@@ -363,7 +363,7 @@ impl Frame<'_> {
                     let sample = self.samples(pixel, task).start + ray % samples.len();
                     task.irradiance[sample] = (lit.irradiance * lit.share()) as f32;
                     if self.reads_surface {
-                        task.surface[sample] = Seen::new(lit, plane);
+                        task.surface[sample] = Seen::new(plane);
                     }
                 }
             }

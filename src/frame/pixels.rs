@@ -203,10 +203,6 @@ impl Rows {
         self.starts[row]..self.starts[row + 1]
     }
 
-    pub fn count(&self, row: usize) -> usize {
-        self.range(row).len()
-    }
-
     pub fn total(&self) -> usize {
         self.starts[self.pixels.rows]
     }

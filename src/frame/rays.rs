@@ -43,8 +43,6 @@ pub(super) struct Lit {
     pub irradiance: f64,
     /// Square of the distance from that middle, mm².
     pub off2: f64,
-    /// Of what is seen, along the camera's axis, mm.
-    pub depth: f64,
     /// 1/e² radius of the beam there, mm.
     pub radius: f64,
 }
@@ -222,7 +220,6 @@ impl<'a> LitRays<'a> {
         let light = Lit {
             irradiance: radiance * self.sight.solid_angle(place, direction),
             off2: r2,
-            depth: self.sight.axis.dot(hit.point - self.sight.eye),
             radius,
         };
         (Met::Lit(light, plane), Some(shadow_ray))

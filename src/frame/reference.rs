@@ -1,12 +1,13 @@
 //! Where a sample's light was seen in another pose of the path.
 
-use super::rays::{Lit, Plane};
+use super::rays::Plane;
 use crate::camera::Camera;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::motion::{Motion, Source, SurfaceView, shift_on_pupil};
 use crate::speckle::strips::Strip;
+use glam::DMat2;
 
 /// The strips that a frame's pupil stands on, and the poses that they refer to; see
 /// [`strips`](crate::speckle::strips).
@@ -34,21 +35,44 @@ pub struct Reference {
     pub displacement: DVec2,
 }
 
-/// What a sample of a pixel sees.
+/// The plane that a sample of a pixel sees, in the laser's frame; zero if it sees nothing lit.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Seen {
-    /// Of the surface, along the camera's axis, mm.
-    pub depth: f64,
-    /// Unit normal of the surface, in the laser's frame.
+    /// Unit normal.
     pub normal: DVec3,
+    /// From the origin along the normal, mm.
+    pub distance: f64,
 }
 
 impl Seen {
-    pub fn new(light: &Lit, plane: &Plane) -> Seen {
+    pub fn new(plane: &Plane) -> Seen {
         Seen {
-            depth: light.depth,
             normal: plane.normal,
+            distance: plane.normal.dot(plane.point),
         }
+    }
+
+    /// Whether this is the same plane as another to rounding; what moves a grain is far more.
+    fn is_on(self, other: Seen) -> bool {
+        self.normal == other.normal
+            && (self.distance - other.distance).abs() <= 1e-9 * self.distance.abs()
+    }
+}
+
+/// Where strips are read around a pixel's centre that sees a plane.
+pub(super) struct Around {
+    seen: Seen,
+    centre: DVec2,
+    /// Direction cosines at the centre, and by column and row.
+    at: [DVec2; 2],
+    slopes: [DMat2; 2],
+}
+
+impl Around {
+    /// The direction cosines at a place; `None` if it sees another plane.
+    pub fn cosines(&self, place: DVec2, seen: Seen) -> Option<[DVec2; 2]> {
+        let off = place - self.centre;
+        (seen.is_on(self.seen)).then(|| [0, 1].map(|i| self.at[i] + self.slopes[i] * off))
     }
 }
 
@@ -102,23 +126,72 @@ impl References {
     /// its domain. The lens's distortion turns the rays behind it against those before it;
     /// points are taken to lie, now and then, where the rays behind it point.
     pub fn cosines(&self, place: DVec2, seen: Seen) -> [DVec2; 2] {
+        let behind = self.behind(place);
+        let point = self.point(behind, seen);
+        self.then(point, self.aside(behind, point, seen))
+    }
+
+    /// From the lens to a place on the sensor.
+    fn behind(&self, place: DVec2) -> DVec3 {
         let [by_column, by_row] = self.steps;
-        let behind = self.corner + by_column * place.x + by_row * place.y;
-        let point = behind * (seen.depth / behind.z);
+        self.corner + by_column * place.x + by_row * place.y
+    }
+
+    /// Where the ray from there meets the plane, camera's frame.
+    fn point(&self, behind: DVec3, seen: Seen) -> DVec3 {
+        let normal = self.camera_from_laser.vector(seen.normal);
+        let distance = seen.distance + normal.dot(self.camera_from_laser.translation);
+        behind * (distance / normal.dot(behind))
+    }
+
+    /// From the point that the chief ray meets to those whose light comes through the middles
+    /// of the strips.
+    fn aside(&self, behind: DVec3, point: DVec3, seen: Seen) -> [DVec3; 2] {
         let normal = self.camera_from_laser.vector(seen.normal);
         let focused_on = 1.0 / self.focal_length - 1.0 / behind.z;
-        let aside = (1.0 - focused_on * seen.depth).clamp(-1.0, 1.0);
+        let blur = (1.0 - focused_on * point.z).clamp(-1.0, 1.0) * self.view.pupil_diameter;
         self.strips.map(|(then_from_now, motion)| {
-            let mut from = point;
-            if aside != 0.0 {
+            let mut aside = DVec3::ZERO;
+            if blur != 0.0 {
                 // The shift is that of the point sought. It changes from there to here by
                 // a small share of itself, so twice is enough.
                 for _ in 0..2 {
-                    let shift = self.shift(from, normal, &then_from_now, &motion);
-                    from = point + shift * (aside * self.view.pupil_diameter);
+                    aside = self.shift(point + aside, normal, &then_from_now, &motion) * blur;
                 }
             }
-            then_from_now.point(from).normalize_or_zero().truncate()
+            aside
+        })
+    }
+
+    /// Direction cosines of the points beside `point` in the strips' references.
+    fn then(&self, point: DVec3, aside: [DVec3; 2]) -> [DVec2; 2] {
+        [0, 1].map(|i| {
+            let then = self.strips[i].0.point(point + aside[i]);
+            then.normalize_or_zero().truncate()
+        })
+    }
+
+    /// The same for all places of the pixel around `centre`; `None` where one of them would see
+    /// the plane behind it.
+    ///
+    /// What lies aside is taken to be the same all over the pixel. It changes there by the
+    /// change of the defocus, the pixel's image times the plane's slope over L_f, times D·|A_p|,
+    /// which is at most D: a share D/L_f times the slope of the pixel.
+    pub fn around(&self, centre: DVec2, seen: Seen) -> Option<Around> {
+        let on_plane = |off: DVec2| {
+            let point = self.point(self.behind(centre + off), seen);
+            (point.is_finite() && point.z * self.corner.z > 0.0).then_some(point)
+        };
+        let point = on_plane(DVec2::ZERO)?;
+        let aside = self.aside(self.behind(centre), point, seen);
+        let at = self.then(point, aside);
+        let next = |off: DVec2| Some(self.then(on_plane(off)?, aside));
+        let [by_column, by_row] = [next(DVec2::X * 0.5)?, next(DVec2::Y * 0.5)?];
+        Some(Around {
+            seen,
+            centre,
+            at,
+            slopes: [0, 1].map(|i| DMat2::from_cols(by_column[i] - at[i], by_row[i] - at[i]) * 2.0),
         })
     }
 
@@ -142,5 +215,87 @@ impl References {
             ..self.view
         };
         shift_on_pupil(&view, &Motion { part, ..*motion }, DVec3::Z)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::{Key, Purpose};
+
+    const PUPIL: f64 = 6.0;
+    const DEPTH: f64 = 240.0;
+
+    /// Planes drawn at slopes up to 1, in and out of focus, under motions that shift the pupil
+    /// field by up to a diameter. Over a pixel, o wide at depth L_o, what lies aside changes by
+    /// D·|A_p| times the change of the defocus, Δdepth/L_f, and with A_p itself: its direction,
+    /// distance and slant change by o/L_o each, ten times that in all. Over L_o, and with the
+    /// bend of the cosines, (o/L_o)², that is what may be missed.
+    #[test]
+    fn a_pixel_on_a_plane_is_read_as_each_of_its_samples() {
+        let (key, mut drawn) = (Key::new(5, Purpose::SpecklePattern), 0);
+        let mut draw = |low: f64, high: f64| {
+            drawn += 1;
+            low + (high - low) * key.uniform(drawn)
+        };
+        let mut moved_far = 0;
+        for _ in 0..400 {
+            let blur = draw(-0.08, 0.08);
+            let focal_length = 25.0;
+            let behind = 1.0 / (1.0 / focal_length - (1.0 - blur) / DEPTH);
+            let moved = DVec3::new(draw(-2.0, 2.0), draw(-2.0, 2.0), draw(-0.5, 0.5));
+            let turn = Rigid::from_euler_xyz(DVec3::splat(draw(-2e-3, 2e-3)), moved);
+            let references = References {
+                focal_length,
+                corner: DVec3::new(-4.0, -3.0, behind),
+                steps: [DVec3::X * 5e-3, DVec3::Y * 5e-3],
+                view: SurfaceView {
+                    point: DVec3::Z * DEPTH,
+                    normal: DVec3::NEG_Z,
+                    source: Source::Point(DVec3::new(0.0, 120.0, 20.0)),
+                    pupil_centre: DVec3::ZERO,
+                    pupil_diameter: PUPIL,
+                    image_x: DVec3::X,
+                    focus_distance: DEPTH / (1.0 - blur),
+                    magnification: behind / DEPTH,
+                },
+                strips: [Rigid::IDENTITY, turn].map(|then_from_now| {
+                    let rotation = rotation_vector(&then_from_now.inverse().rotation);
+                    (
+                        then_from_now,
+                        Motion {
+                            rotation,
+                            ..Motion::default()
+                        },
+                    )
+                }),
+                offsets: [DVec2::ZERO; 2],
+                camera_from_laser: Rigid::IDENTITY,
+            };
+            let normal = DVec3::new(draw(-0.7, 0.7), draw(-0.7, 0.7), -1.0).normalize();
+            let centre = DVec2::new(draw(0.0, 1600.0).floor(), draw(0.0, 1200.0).floor()) + 0.5;
+            let distance = normal.z * DEPTH;
+            let seen = Seen { normal, distance };
+            let around = references.around(centre, seen).unwrap();
+            let place = centre + DVec2::new(draw(-0.5, 0.5), draw(-0.5, 0.5));
+            let found = around.cosines(place, seen).unwrap();
+            let expected = references.cosines(place, seen);
+            let behind = references.behind(centre);
+            let point = references.point(behind, seen);
+            let aside = references.aside(behind, point, seen)[1];
+            let wide = 5e-3 / behind.z;
+            let deeper = (references.point(references.behind(place), seen).z - point.z).abs();
+            let missed = PUPIL / DEPTH * (deeper / DEPTH + 10.0 * blur.abs() * wide) + wide * wide;
+            for (found, expected) in found.iter().zip(expected) {
+                assert!(
+                    found.distance(expected) <= missed,
+                    "{found} {expected} {missed:e}"
+                );
+            }
+            let distance = distance + 1e-3;
+            assert_eq!(around.cosines(place, Seen { normal, distance }), None);
+            moved_far += usize::from(aside.length() > 100.0 * missed * DEPTH);
+        }
+        assert!(moved_far > 200, "{moved_far}");
     }
 }

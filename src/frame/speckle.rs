@@ -1,6 +1,6 @@
 //! The speckle of one frame, and how its samples read it.
 
-use super::reference::{References, Seen, Strips};
+use super::reference::{Around, References, Seen, Strips};
 use crate::camera::{Camera, ChiefRays};
 use crate::math::{DVec2, Rigid};
 use crate::speckle::coordinate::{Coordinate, GrainMap};
@@ -45,8 +45,6 @@ pub enum Patterns<'a> {
         lookup: &'a Lookup,
         /// u, in slices.
         slice: f64,
-        /// The patterns are integrated over the pixel: they are read at its centre.
-        per_pixel: bool,
     },
 }
 
@@ -75,7 +73,6 @@ enum Source<'a> {
     Ring {
         lookup: &'a Lookup,
         slice: f64,
-        per_pixel: bool,
     },
 }
 
@@ -83,15 +80,7 @@ impl<'a> Reader<'a> {
     pub fn new(speckle: &Speckle<'a>, camera: &Camera, camera_from_laser: Rigid) -> Reader<'a> {
         let map = speckle.map;
         let source = match &speckle.patterns {
-            &Patterns::Ring {
-                lookup,
-                slice,
-                per_pixel,
-            } => Source::Ring {
-                lookup,
-                slice,
-                per_pixel,
-            },
+            &Patterns::Ring { lookup, slice } => Source::Ring { lookup, slice },
             Patterns::Frame { fields, place } => Source::Frame(fields.field(place)),
             Patterns::Strips { fields, strips } => {
                 let both = strips.strips.map(|reference| reference.strip);
@@ -115,27 +104,21 @@ impl<'a> Reader<'a> {
         let intensity = match &self.source {
             Source::Frame(field) => field.intensity(at),
             Source::Strips { field, references } => {
-                let cosines = references.cosines(place, seen);
-                let texels = |i: usize| self.map.texels(cosines[i]) + references.offsets[i];
-                field.intensity([texels(0), texels(1)])
+                self.of_strips(field, references, references.cosines(place, seen))
             }
-            &Source::Ring {
-                lookup,
-                slice: u,
-                per_pixel,
-            } => {
-                let at = match per_pixel {
-                    true => self.at(place.floor() + 0.5),
-                    false => at,
-                };
-                lookup.intensity(Coordinate {
-                    s: at.x,
-                    t: at.y,
-                    u,
-                })
-            }
+            &Source::Ring { lookup, slice: u } => lookup.intensity(Coordinate {
+                s: at.x,
+                t: at.y,
+                u,
+            }),
         };
         intensity as f64
+    }
+
+    /// Intensity of strips that are read under these direction cosines.
+    #[inline(always)]
+    fn of_strips(&self, field: &StripField, references: &References, at: [DVec2; 2]) -> f32 {
+        field.intensity([0, 1].map(|i| self.map.texels(at[i]) + references.offsets[i]))
     }
 
     /// (s, t) of a place on the sensor.
@@ -162,6 +145,7 @@ impl<'a> Reader<'a> {
             centre,
             at,
             steps: steps.map(|step| step.as_vec2()),
+            around: None,
         }
     }
 }
@@ -175,22 +159,44 @@ pub(super) struct PixelReader<'a> {
     at: DVec2,
     /// Texels by column and by row.
     steps: [Vec2; 2],
+    /// Where strips are read on the plane that the last sample saw.
+    around: Option<Around>,
 }
 
 impl PixelReader<'_> {
     /// Intensities, mean 1, at the first `count` of four places so many columns and rows
     /// (up to ½) from the pixel's centre; what others give is of no use.
     #[inline(always)]
-    pub fn four(&self, columns: f32x4, rows: f32x4, seen: [Seen; 4], count: usize) -> f32x4 {
+    pub fn four(&mut self, columns: f32x4, rows: f32x4, seen: &[Seen], count: usize) -> f32x4 {
         let Some(field) = self.field else {
             let (columns, rows) = (columns.to_array(), rows.to_array());
-            let off = |i: usize| DVec2::new(columns[i] as f64, rows[i] as f64);
-            let read = |i| self.reader.intensity(self.centre + off(i), seen[i]) as f32;
-            return [0, 1, 2, 3].map(read).into();
+            let mut values = [0.0; 4];
+            for i in 0..count {
+                let off = DVec2::new(columns[i] as f64, rows[i] as f64);
+                let seen = seen.get(i).copied().unwrap_or_default();
+                values[i] = self.one(self.centre + off, seen);
+            }
+            return values.into();
         };
         let [by_column, by_row] = self.steps;
         let s = columns * by_column.x + rows * by_row.x;
         let t = columns * by_column.y + rows * by_row.y;
         field.around(self.at, s, t, count)
+    }
+
+    fn one(&mut self, place: DVec2, seen: Seen) -> f32 {
+        let Source::Strips { field, references } = &self.reader.source else {
+            return self.reader.intensity(place, seen) as f32;
+        };
+        if seen == Seen::default() {
+            return 0.0;
+        }
+        let known = |around: &Around| around.cosines(place, seen);
+        let cosines = self.around.as_ref().and_then(known).or_else(|| {
+            self.around = references.around(self.centre, seen);
+            self.around.as_ref().and_then(known)
+        });
+        let cosines = cosines.unwrap_or_else(|| references.cosines(place, seen));
+        self.reader.of_strips(field, references, cosines)
     }
 }

@@ -34,7 +34,7 @@ pub struct CloudPoint {
 impl CloudPoint {
     /// Whether nothing is doubtful about its peak. That its uncertainty is not
     /// stated (OUTSIDE) does not make it so.
-    pub fn is_sound(&self) -> bool {
-        self.flags.is_sound()
+    pub fn is_valid(&self) -> bool {
+        self.flags.is_valid()
     }
 }

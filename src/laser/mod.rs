@@ -94,6 +94,7 @@ impl Laser {
 
     /// The beam around `p` (laser frame). `None` behind the aperture and outside a
     /// uniform fan.
+    #[inline]
     pub fn section(&self, p: DVec3) -> Option<Section> {
         match &self.fan {
             None => self.beam.round(p),

@@ -285,20 +285,20 @@ mod tests {
 
     #[test]
     fn a_sound_block_and_its_inside_out_twin() {
-        let sound = changed(|_| ());
-        assert_eq!((sound.triangles, sound.vertices), (20, 12));
-        assert_eq!(sound.orientation, Orientation::Outward);
-        assert!((sound.volume_mm3 - 20.0).abs() < 1e-12);
+        let valid = changed(|_| ());
+        assert_eq!((valid.triangles, valid.vertices), (20, 12));
+        assert_eq!(valid.orientation, Orientation::Outward);
+        assert!((valid.volume_mm3 - 20.0).abs() < 1e-12);
         assert_eq!(
             [
-                sound.boundary_edges,
-                sound.non_manifold_edges,
-                sound.winding_conflicts
+                valid.boundary_edges,
+                valid.non_manifold_edges,
+                valid.winding_conflicts
             ],
             [0; 3]
         );
         assert_eq!(
-            [sound.degenerate_triangles, sound.duplicate_triangles],
+            [valid.degenerate_triangles, valid.duplicate_triangles],
             [0; 2]
         );
         let inside_out = changed(|t| t.iter_mut().for_each(|t| t.swap(0, 1)));

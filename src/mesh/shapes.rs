@@ -185,7 +185,7 @@ mod tests {
     use super::*;
     use crate::mesh::{Orientation, report};
 
-    /// Closed, outward, sound, and of the volume of the true shape to within
+    /// Closed, outward, without faults, and of the volume of the true shape to within
     /// what the chord explains: (volume, lower bound).
     fn assert_sound(mesh: &Mesh, volume: f64, least: f64) {
         let report = report(mesh);

@@ -5,7 +5,7 @@ use super::height_error::PROMISED_SHARE;
 use crate::frame::Sampling;
 use crate::math::Aperture;
 use crate::speckle::lookup::Method;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 /// What a frame of this scene needs. Each way of doing it is a value here.
 #[derive(Debug, Clone, Serialize)]
@@ -54,11 +54,63 @@ pub struct Plan {
     pub accuracy: Option<Accuracy>,
 }
 
+/// What can move a height.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EffectKind {
+    /// Width of the laser line.
+    LineWidth,
+    /// Speckle.
+    Speckle,
+    /// Shot noise and read noise.
+    SensorNoise,
+    /// Light integrated over a pixel.
+    PixelIntegration,
+    /// Surface that changes within a pixel.
+    SurfaceWithinPixel,
+    /// Light beyond the beam's cut-off.
+    LightFarFromLine,
+    /// Blur of what is out of focus.
+    Defocus,
+    /// Blur by the lens's diffraction.
+    Diffraction,
+    /// Light reflected more than once.
+    Reflections,
+    /// Motion during the exposure.
+    ExposureMotion,
+    /// Slip of speckle on moving surfaces out of focus.
+    SpeckleOutOfFocus,
+}
+
+impl EffectKind {
+    /// As outputs show it.
+    pub fn name(self) -> &'static str {
+        match self {
+            EffectKind::LineWidth => "width of the line",
+            EffectKind::Speckle => "speckle",
+            EffectKind::SensorNoise => "sensor noise",
+            EffectKind::PixelIntegration => "pixel integration",
+            EffectKind::SurfaceWithinPixel => "surface within a pixel",
+            EffectKind::LightFarFromLine => "light far from the line",
+            EffectKind::Defocus => "defocus",
+            EffectKind::Diffraction => "diffraction of the lens",
+            EffectKind::Reflections => "light reflected more than once",
+            EffectKind::ExposureMotion => "motion during the exposure",
+            EffectKind::SpeckleOutOfFocus => "speckle out of focus",
+        }
+    }
+}
+
+impl Serialize for EffectKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
 /// One line of the plan.
 #[derive(Debug, Clone, Serialize)]
 pub struct Effect {
-    /// Name of the effect, as outputs show it.
-    pub effect: &'static str,
+    /// Which effect.
+    pub effect: EffectKind,
     /// Whether results have it.
     pub modelled: bool,
     /// How it is modelled, or that it is not, in words.
@@ -76,7 +128,7 @@ pub struct Effect {
 
 impl Effect {
     /// Without influence and cost.
-    pub fn new(effect: &'static str, modelled: bool, method: String, why: String) -> Effect {
+    pub fn new(effect: EffectKind, modelled: bool, method: String, why: String) -> Effect {
         Effect {
             effect,
             modelled,

@@ -1,7 +1,7 @@
 //! What the plan says of the lens's blur, which images do not have.
 
 use super::accuracy::{Pilot, PilotPoint};
-use super::chosen::{Effect, Plan, SpeckleOptics};
+use super::chosen::{Effect, EffectKind, Plan, SpeckleOptics};
 use super::height_error::HeightError;
 use crate::speckle::theory::{centroid_noise, defocus_noise};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,7 +25,7 @@ pub(super) fn noise_factor(
 impl Plan {
     pub(super) fn defocus_effect(&self) -> Effect {
         let words = self.defocus_in_words();
-        Effect::new("defocus", false, "sharp image".into(), words)
+        Effect::new(EffectKind::Defocus, false, "sharp image".into(), words)
     }
 
     /// What defocus does, and to how many points; it is not modelled.

@@ -1,7 +1,7 @@
 //! Which effects are modelled and how finely, and why: no more than the scene
 //! needs.
 
-pub use super::chosen::{Effect, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
+pub use super::chosen::{Effect, EffectKind, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
 use super::grain_extent::GrainExtent;
@@ -9,7 +9,6 @@ use super::in_view::Optics;
 use crate::frame::Sampling;
 use crate::frame::sampling_error;
 use crate::math::{DVec2, DVec3};
-use crate::speckle::lookup::Method;
 use crate::speckle::theory::{centroid_noise, samples_across_pixel};
 
 /// Error of the correlation of two frames up to which the pattern's slip is left out:
@@ -38,14 +37,11 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
             sigma_px * n as f64 > 0.5 && sampling_error(sigma_px, n) < SAMPLING_TOLERANCE_PX
         })
         .unwrap_or(MAX_SAMPLES_PER_SIDE);
-    let grain = match speckle {
-        Some(optics) if !matches!(optics.method, Method::Prefiltered { .. }) => {
-            // Past this many grains a pixel no affordable number of samples does.
-            let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
-            samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
-        }
-        _ => 1,
-    };
+    let grain = speckle.map_or(1, |optics| {
+        // Past this many grains a pixel no affordable number of samples does.
+        let grains = (1.0 / speckle_size_px).min(MAX_SAMPLES_PER_SIDE as f64);
+        samples_across_pixel(optics.aperture, grains, CONTRAST_TOLERANCE) as u32
+    });
     line.max(grain).clamp(1, MAX_SAMPLES_PER_SIDE)
 }
 
@@ -115,7 +111,7 @@ impl Plan {
         vec![
             self.pixel_effect(sigma),
             effect(
-                "speckle",
+                EffectKind::Speckle,
                 speckle.is_some(),
                 if speckle.is_some() {
                     "patterns tied to the part"
@@ -135,13 +131,13 @@ impl Plan {
             ),
             self.defocus_effect(),
             effect(
-                "diffraction of the lens",
+                EffectKind::Diffraction,
                 false,
                 "sharp image".into(),
                 format!("Airy radius {:.2} px", self.airy_radius_px),
             ),
             effect(
-                "light reflected more than once",
+                EffectKind::Reflections,
                 false,
                 "direct light only".into(),
                 "the surface is diffuse: interreflections are faint and wide".into(),
@@ -153,7 +149,7 @@ impl Plan {
     fn pixel_effect(&self, sigma: f64) -> Effect {
         let n = self.samples_per_side;
         Effect::new(
-            "pixel integration",
+            EffectKind::PixelIntegration,
             true,
             match n {
                 1 => "1 ray a pixel".into(),
@@ -176,7 +172,7 @@ impl Plan {
             format!("the head goes {way:.2} µm over the part in one exposure")
         });
         Effect::new(
-            "motion during the exposure",
+            EffectKind::ExposureMotion,
             poses > 1,
             match poses {
                 1 => "head at rest".into(),
@@ -234,7 +230,7 @@ impl LineImage {
             }
             None => "neighbouring frames are not correlated".into(),
         };
-        Effect::new("speckle out of focus", modelled, method.into(), why)
+        Effect::new(EffectKind::SpeckleOutOfFocus, modelled, method.into(), why)
     }
 
     /// The image at these places of the laser's light; of one pixel where there is none.

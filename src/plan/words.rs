@@ -25,7 +25,6 @@ pub fn words(plan: &Plan) -> Vec<String> {
         Some(Method::Field) if plan.speckle_slips => "speckle by field that slips out of focus",
         Some(Method::Field) => "speckle by field",
         Some(Method::Trilinear) => "speckle trilinear",
-        Some(Method::Prefiltered { .. }) => "speckle prefiltered",
     };
     let noise = if plan.noise { "noise" } else { "no noise" };
     let light = format!("light to {:.2} beam radii", plan.cutoff_radii);

@@ -8,9 +8,9 @@
 //! the part's, and the laser plane.
 
 use super::calibration::{Calibration, PARAMETERS, Parameters, coefficients};
-use super::normal::{cholesky, solve};
 use crate::camera::Distortion;
 use crate::math::{DVec2, DVec3};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// A dot of the target in one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,15 +83,15 @@ struct Problem<'a> {
 /// A calibration with its weighted residuals and their sum of squares.
 struct State {
     calibration: Calibration,
-    residuals: Vec<f64>,
+    residuals: DVector<f64>,
     cost: f64,
 }
 
 /// Normal equations, each parameter scaled to unit information.
 struct Normal {
-    lower: Vec<Vec<f64>>,
-    gradient: Vec<f64>,
-    scale: Vec<f64>,
+    factors: Cholesky<f64, Dyn>,
+    gradient: DVector<f64>,
+    scale: DVector<f64>,
 }
 
 /// Fits a calibration by Levenberg's and Marquardt's method (Marquardt 1963), from
@@ -127,10 +127,10 @@ pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjust
     for _ in 0..3 {
         let state = problem.minimise(calibration, &mut iterations)?;
         let dots = 2 * observations.dots.len();
-        let squares: f64 = state.residuals[dots..].iter().map(|r| r * r).sum();
+        let line = state.residuals.rows_range(dots..);
         let freedom = observations.line.len() as f64 - 3.0;
         // Of peaks that fit perfectly rounding is left.
-        problem.line_sigma = (problem.line_sigma * (squares / freedom).sqrt()).max(1e-9);
+        problem.line_sigma = (problem.line_sigma * line.norm() / freedom.sqrt()).max(1e-9);
         calibration = state.calibration;
     }
     let state = problem
@@ -147,7 +147,10 @@ pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjust
         calibration.camera.distortion =
             Some(lens.map_err(|e| format!("the views give a lens that folds; expected {e}"))?);
     }
-    let (dots, line) = state.residuals.split_at(2 * observations.dots.len());
+    let (dots, line) = state
+        .residuals
+        .as_slice()
+        .split_at(2 * observations.dots.len());
     Ok(Adjustment {
         calibration,
         dot_residuals: dots
@@ -158,6 +161,18 @@ pub fn adjust(start: &Calibration, observations: &Observations) -> Result<Adjust
         line_residuals: line.iter().map(|r| r * problem.line_sigma).collect(),
         line_sigma_px: problem.line_sigma,
         iterations,
+    })
+}
+
+/// Cholesky's factors of a symmetric matrix. Errors: the first row that, with those before
+/// it, leaves the matrix not positive definite.
+fn factorise(matrix: &DMatrix<f64>) -> Result<Cholesky<f64, Dyn>, usize> {
+    let leading = |rows: usize| matrix.view((0, 0), (rows, rows)).clone_owned().cholesky();
+    let rows = matrix.nrows();
+    leading(rows).ok_or_else(|| {
+        (0..rows)
+            .find(|&row| leading(row + 1).is_none())
+            .unwrap_or(0)
     })
 }
 
@@ -201,7 +216,8 @@ impl Problem<'_> {
         for point in line {
             residuals.push(row_residual(&calibration, point) / self.line_sigma);
         }
-        let cost = residuals.iter().map(|r| r * r).sum::<f64>();
+        let residuals = DVector::from_vec(residuals);
+        let cost = residuals.norm_squared();
         cost.is_finite().then_some(State {
             calibration,
             residuals,
@@ -220,32 +236,27 @@ impl Problem<'_> {
                     .ok_or_else(beyond)
             };
             let (more, less) = (moved(step)?, moved(-step)?);
-            let pairs = more.residuals.iter().zip(&less.residuals);
-            columns.push(
-                pairs
-                    .map(|(a, b)| (a - b) / (2.0 * step))
-                    .collect::<Vec<f64>>(),
-            );
+            columns.push((more.residuals - less.residuals) / (2.0 * step));
         }
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let scale: Vec<f64> = columns.iter().map(|c| 1.0 / dot(c, c).sqrt()).collect();
-        let lower = cholesky(columns.len(), |i, j| match i == j {
-            true => 1.0 + damping - LEAST_INDEPENDENCE,
-            false => dot(&columns[i], &columns[j]) * scale[i] * scale[j],
-        })
-        .map_err(|row| {
+        let columns = DMatrix::from_columns(&columns);
+        let scale = DVector::from_iterator(
+            columns.ncols(),
+            columns.column_iter().map(|column| 1.0 / column.norm()),
+        );
+        let mut matrix = columns
+            .tr_mul(&columns)
+            .component_mul(&(&scale * scale.transpose()));
+        matrix.fill_diagonal(1.0 + damping - LEAST_INDEPENDENCE);
+        let factors = factorise(&matrix).map_err(|row| {
             format!(
                 "the views do not determine {}: what it changes in the images, the parameters \
                  before it change as well. Views of the target at several heights and tilts do",
                 PARAMETERS[self.free[row].0]
             )
         })?;
-        let gradient = columns.iter().zip(&scale);
         Ok(Normal {
-            lower,
-            gradient: gradient
-                .map(|(c, s)| -dot(c, &state.residuals) * s)
-                .collect(),
+            factors,
+            gradient: -columns.tr_mul(&state.residuals).component_mul(&scale),
             scale,
         })
     }
@@ -258,13 +269,13 @@ impl Problem<'_> {
         for _ in 0..200 {
             *iterations += 1;
             let normal = self.normal(&state, damping)?;
-            let scaled = solve(&normal.lower, &normal.gradient);
+            let scaled = normal.factors.solve(&normal.gradient);
             let mut by: Parameters = [0.0; PARAMETERS.len()];
             for (k, &(i, _)) in self.free.iter().enumerate() {
                 by[i] = scaled[k] * normal.scale[k];
             }
             // In units of what the observations can tell.
-            let length = scaled.iter().map(|s| s * s).sum::<f64>().sqrt();
+            let length = scaled.norm();
             match self.state(state.calibration.perturbed(&by)) {
                 Some(next) if next.cost <= state.cost => {
                     let done = length < 1e-6 && damping < 1e-6;
@@ -284,12 +295,10 @@ impl Problem<'_> {
     fn with_covariance(&self, state: &State) -> Result<Calibration, String> {
         let normal = self.normal(state, 0.0)?;
         let mut calibration = state.calibration.clone();
+        let inverse = normal.factors.inverse();
         for (k, &(j, _)) in self.free.iter().enumerate() {
-            let mut unit = vec![0.0; self.free.len()];
-            unit[k] = 1.0;
-            let column = solve(&normal.lower, &unit);
             for (l, &(i, _)) in self.free.iter().enumerate().skip(k) {
-                let value = column[l] * normal.scale[l] * normal.scale[k];
+                let value = inverse[(l, k)] * normal.scale[l] * normal.scale[k];
                 calibration.covariance[i][j] = value;
                 calibration.covariance[j][i] = value;
             }
@@ -316,4 +325,23 @@ fn row_residual(calibration: &Calibration, point: &LinePoint) -> f64 {
     let half = DVec2::Y * 0.5;
     let slope = distance(point.pixel + half) - distance(point.pixel - half);
     distance(point.pixel) / slope
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_row_that_is_not_independent_is_named() {
+        let refused = |rows: usize, values: &[f64]| {
+            factorise(&DMatrix::from_row_slice(rows, rows, values)).err()
+        };
+        assert_eq!(refused(2, &[1.0, 1.0, 1.0, 1.0]), Some(1));
+        assert_eq!(
+            refused(3, &[2.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0]),
+            Some(1)
+        );
+        assert_eq!(refused(1, &[f64::NAN]), Some(0));
+        assert_eq!(refused(2, &[2.0, 1.0, 1.0, 2.0]), None);
+    }
 }

@@ -2,10 +2,10 @@
 //! makes of a pixel.
 
 use super::Peak;
-use super::normal::{cholesky, solve};
 use crate::camera::{CameraModel, Distortion};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::DQuat;
+use nalgebra::{DMatrix, DVector};
 
 /// The parameters of a calibration, with their units. Those of directions and of
 /// the plane are small changes of the calibration at hand: rotations of the camera
@@ -252,15 +252,14 @@ impl Calibration {
         let sigma = self.standard_uncertainties();
         let free: Vec<usize> = (0..PARAMETERS.len()).filter(|&i| sigma[i] > 0.0).collect();
         let difference = self.difference(other);
-        let scaled: Vec<f64> = free.iter().map(|&i| difference[i] / sigma[i]).collect();
+        let scaled =
+            DVector::from_iterator(free.len(), free.iter().map(|&i| difference[i] / sigma[i]));
         let correlation = |i: usize, j: usize| {
             let (i, j) = (free[i], free[j]);
             self.covariance[i][j] / (sigma[i] * sigma[j])
         };
-        let lower = cholesky(free.len(), correlation).ok()?;
-        let weighted = solve(&lower, &scaled);
-        let chi2 = scaled.iter().zip(&weighted).map(|(a, b)| a * b).sum();
-        Some((chi2, free.len()))
+        let factors = DMatrix::from_fn(free.len(), free.len(), correlation).cholesky()?;
+        Some((scaled.dot(&factors.solve(&scaled)), free.len()))
     }
 
     /// Standard uncertainties of the parameters.

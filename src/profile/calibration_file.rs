@@ -1,11 +1,11 @@
 //! `calibration.json`.
 
 use super::calibration::{Calibration, Covariance, PARAMETERS, coefficients, rotation_vector};
-use super::normal::cholesky;
 use crate::camera::{CameraModel, Distortion};
 use crate::error::{Error, InputError, Place, Result};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use glam::{DQuat, UVec2};
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize, Serializer};
 use std::path::Path;
 
@@ -229,7 +229,8 @@ impl Reader<'_> {
         };
         // Estimates as correlated as rounding lets them be are no mistake.
         let lifted = |i: usize, j: usize| rho[i][j] + if i == j { 1e-9 } else { 0.0 };
-        if !square || !(0..n * n).all(|k| holds(k / n, k % n)) || cholesky(n, lifted).is_err() {
+        let definite = || DMatrix::from_fn(n, n, lifted).cholesky().is_some();
+        if !square || !(0..n * n).all(|k| holds(k / n, k % n)) || !definite() {
             let expected = format!(
                 "a symmetric, positive definite matrix of {n} × {n} with ones on its diagonal"
             );

@@ -1,51 +1,39 @@
 //! Least squares with few parameters.
 
 use super::line::{Line, Located};
+use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Solves the symmetric positive definite a·x = b by Cholesky's factorisation;
-/// `None` if it is not positive definite.
-pub(super) fn solve<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64; N]> {
-    let mut l = [[0.0; N]; N];
-    for i in 0..N {
-        for j in 0..=i {
-            let rest: f64 = a[i][j] - (0..j).map(|k| l[i][k] * l[j][k]).sum::<f64>();
-            if i > j {
-                l[i][j] = rest / l[j][j];
-            } else if rest > 1e-14 * a[i][i] {
-                l[i][i] = rest.sqrt();
-            } else {
-                return None;
-            }
-        }
-    }
-    let mut x = *b;
-    for i in 0..N {
-        x[i] = (x[i] - (0..i).map(|k| l[i][k] * x[k]).sum::<f64>()) / l[i][i];
-    }
-    for i in (0..N).rev() {
-        x[i] = (x[i] - (i + 1..N).map(|k| l[k][i] * x[k]).sum::<f64>()) / l[i][i];
-    }
-    Some(x)
+/// Solves the symmetric positive definite a·x = b; `None` if it is not positive definite,
+/// or by no more than rounding.
+pub(super) fn solve<const N: usize>(
+    a: SMatrix<f64, N, N>,
+    b: &SVector<f64, N>,
+) -> Option<SVector<f64, N>> {
+    let factor = a.cholesky()?;
+    let pivot = |i: usize| factor.l_dirty()[(i, i)].powi(2);
+    let definite = (0..N).all(|i| pivot(i) > 1e-14 * a[(i, i)]);
+    definite.then(|| factor.solve(b))
 }
 
 /// Background, area, row and standard deviation of a Gaussian line.
-type Parameters = [f64; 4];
+type Parameters = Vector4<f64>;
 
 /// Normal equations of a fit at some parameters.
 struct Normal {
     squares: f64,
-    matrix: [[f64; 4]; 4],
-    gradient: [f64; 4],
+    matrix: Matrix4<f64>,
+    gradient: Vector4<f64>,
 }
 
 /// Sum of squared residuals of the pixels against
 /// b + A·(Φ((i+1-μ)/σ) - Φ((i-μ)/σ)), and its derivatives.
-fn normal(counts: &[(usize, f64)], [b, area, mean, sigma]: Parameters) -> Normal {
+fn normal(counts: &[(usize, f64)], parameters: Parameters) -> Normal {
+    let [b, area, mean, sigma] = parameters.into();
     let mut n = Normal {
         squares: 0.0,
-        matrix: [[0.0; 4]; 4],
-        gradient: [0.0; 4],
+        matrix: Matrix4::zeros(),
+        gradient: Vector4::zeros(),
     };
     // Φ, φ and u·φ at a pixel's edge; each is the next pixel's lower edge.
     let at = |row: usize| {
@@ -62,20 +50,16 @@ fn normal(counts: &[(usize, f64)], [b, area, mean, sigma]: Parameters) -> Normal
         let high = at(row + 1);
         edge = Some((row + 1, high));
         let share = high.0 - low.0;
-        let slopes = [
+        let slopes = Vector4::new(
             1.0,
             share,
             -area / sigma * (high.1 - low.1),
             -area / sigma * (high.2 - low.2),
-        ];
+        );
         let residual = count - b - area * share;
         n.squares += residual * residual;
-        for i in 0..4 {
-            n.gradient[i] += slopes[i] * residual;
-            for j in 0..4 {
-                n.matrix[i][j] += slopes[i] * slopes[j];
-            }
-        }
+        n.gradient += slopes * residual;
+        n.matrix += slopes * slopes.transpose();
     }
     n
 }
@@ -97,16 +81,14 @@ pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
         return None;
     }
     let area = line.height * sigma * (2.0 * PI).sqrt();
-    let mut at = [line.background.mean, area, start.row, sigma];
+    let mut at = Parameters::new(line.background.mean, area, start.row, sigma);
     let mut now = normal(&counts, at);
     let mut damping = 1e-3;
     for _ in 0..50 {
         let mut matrix = now.matrix;
-        for (i, row) in matrix.iter_mut().enumerate() {
-            row[i] *= 1.0 + damping;
-        }
-        let step = solve(&matrix, &now.gradient)?;
-        let tried: Parameters = std::array::from_fn(|i| at[i] + step[i]);
+        matrix.set_diagonal(&(matrix.diagonal() * (1.0 + damping)));
+        let step = solve(matrix, &now.gradient)?;
+        let tried = at + step;
         let next = (tried[3] > 0.05).then(|| normal(&counts, tried));
         match next.filter(|next| next.squares <= now.squares) {
             Some(next) => {
@@ -123,7 +105,7 @@ pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
             break;
         }
     }
-    let [_, area, row, fitted] = at;
+    let [_, area, row, fitted] = at.into();
     let inside = (low as f64..=high as f64).contains(&row) && fitted < reach && area > 0.0;
     inside.then_some(Located { row, sigma: fitted })
 }
@@ -133,12 +115,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cholesky_solves_and_refuses() {
-        let a = [[4.0, 2.0, 0.6], [2.0, 5.0, 1.0], [0.6, 1.0, 3.0]];
-        let x = [1.0, -2.0, 0.5];
-        let b = std::array::from_fn(|i| (0..3).map(|j| a[i][j] * x[j]).sum());
-        let found = solve(&a, &b).unwrap();
-        assert!((0..3).all(|i| (found[i] - x[i]).abs() < 1e-12), "{found:?}");
-        assert_eq!(solve(&[[1.0, 1.0], [1.0, 1.0]], &[1.0, 1.0]), None);
+    fn a_system_that_only_rounding_makes_definite_is_refused() {
+        let ones = SMatrix::<f64, 2, 2>::from_element(1.0);
+        let one = SVector::<f64, 2>::new(1.0, 0.0);
+        assert_eq!(solve(ones, &one), None);
+        // A pivot of 2e-16 is rounding's, one of 1e-8 is not.
+        let lifted = |by: f64| ones + SMatrix::from_diagonal(&SVector::<f64, 2>::new(0.0, by));
+        assert_eq!(solve(lifted(2.3e-16), &one), None);
+        assert!(solve(lifted(1e-8), &one).is_some());
     }
 }

@@ -3,6 +3,7 @@
 use super::PeakFinder;
 use super::fit::{gaussian_fit, solve};
 use super::line::{Line, Located};
+use nalgebra::{Matrix3, Vector3};
 
 /// Half width of the centroid's window, in standard deviations of the line. At 3
 /// the pixels that the window's ends cut still hold enough light, unevenly, to
@@ -138,18 +139,14 @@ fn log_parabola(line: &Line) -> Option<Located> {
         rows = grown;
         pixels = rows.clone().filter_map(usable).collect();
     }
-    let (mut matrix, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
+    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (x, height) in pixels {
-        let powers = [1.0, x, x * x];
+        let powers = Vector3::new(1.0, x, x * x);
         let weight = (height / line.height).powi(2);
-        for i in 0..3 {
-            right[i] += weight * powers[i] * (height / line.height).ln();
-            for j in 0..3 {
-                matrix[i][j] += weight * powers[i] * powers[j];
-            }
-        }
+        right += powers * (weight * (height / line.height).ln());
+        matrix += powers * powers.transpose() * weight;
     }
-    let [_, slope, curvature] = solve(&matrix, &right)?;
+    let [_, slope, curvature] = solve(matrix, &right)?.into();
     let vertex = -slope / (2.0 * curvature) + line.top as f64 + 0.5;
     let inside = (rows.start as f64..=rows.end as f64).contains(&vertex);
     let variance = -0.5 / curvature - PIXEL_VARIANCE;

@@ -21,7 +21,6 @@ mod influence;
 mod line;
 mod locate;
 mod neighbourhood;
-mod normal;
 mod peak;
 mod slope;
 mod uncertainty;

@@ -74,7 +74,7 @@ bitflags! {
 impl Flags {
     /// Whether nothing is doubtful. That an uncertainty is not stated (OUTSIDE) does not
     /// make it so.
-    pub fn is_sound(self) -> bool {
+    pub fn is_valid(self) -> bool {
         self.difference(Flags::OUTSIDE).is_empty()
     }
 }

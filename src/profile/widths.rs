@@ -34,20 +34,20 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
         let chosen = peaks.iter().zip(runs).filter(|(p, run)| chosen(p, run));
         Neighbourhood::new(columns, chosen.map(|(p, run)| (p.column, of(p, run))))
     };
-    let sound = |p: &Peak| {
+    let valid = |p: &Peak| {
         let other = Flags::OUTSIDE | Flags::SATURATED;
         p.flags.difference(other).is_empty()
     };
     let without_climb = |p: &Peak, run: &Run| (p.sigma.powi(2) - climb(run)).max(0.0).sqrt();
-    let alike = those(&|p, _| sound(p), &without_climb);
+    let alike = those(&|p, _| valid(p), &without_climb);
     let level = those(
-        &|p, run| sound(p) && run.slope.abs() <= LEVEL,
+        &|p, run| valid(p) && run.slope.abs() <= LEVEL,
         &without_climb,
     );
     // At an edge, or narrow one and all: they say no more than how wide they are themselves.
     let doubtful = those(
         &|p, _| {
-            sound(&Peak {
+            valid(&Peak {
                 flags: p.flags.difference(Flags::EDGE),
                 ..*p
             })
@@ -57,7 +57,7 @@ pub(super) fn expected(peaks: &[Peak], runs: &[Run]) -> Vec<Option<Expected>> {
     let wide = those(&|p, _| p.flags.contains(Flags::WIDE), &|p, _| p.sigma);
     // Means are of squares.
     let root = |p: &Peak, _: &Run| p.intensity.max(0.0).sqrt();
-    let lights = those(&|p, _| sound(p), &root);
+    let lights = those(&|p, _| valid(p), &root);
     let of = |(peak, run): (&Peak, &Run)| {
         let (count, width) = alike.around(peak.column);
         let (wider, _) = wide.around(peak.column);

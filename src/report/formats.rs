@@ -30,6 +30,15 @@ impl Format {
         }
     }
 
+    /// Of its file, which names the form on the command line.
+    pub fn ending(self) -> &'static str {
+        match self {
+            Format::Csv => "csv",
+            Format::E57 => "e57",
+            Format::Npy => "npy",
+        }
+    }
+
     /// The whole file: some 70 bytes a point, twice that as text.
     pub fn bytes(self, points: &[CloudPoint]) -> io::Result<Vec<u8>> {
         match self {

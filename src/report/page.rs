@@ -1,17 +1,18 @@
 //! `report.html`: one page that stands alone, for people who would rather look
 //! than read.
 
-use super::chart::{share_bar, short};
-use super::color::{Rgb, css};
-use super::picture::data_url;
+use super::chart::share_bar;
+use super::color::Rgb;
 use super::svg::Svg;
 use super::viewer::Viewer;
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
-use std::fmt::Write;
+use askama::Template;
 
 /// What a report shows, in its order.
+#[derive(Template)]
+#[template(path = "page.html")]
 pub struct Report {
     /// Heading, the scene's name.
     pub title: String,
@@ -71,174 +72,53 @@ pub struct SampleFrame {
     pub line: Vec<(f64, f64)>,
 }
 
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
+const CSS: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("viewer.js");
 
 impl Report {
     /// One file: pictures, styles and script are in it.
     pub fn html(&self) -> String {
-        let title = escape(&self.title);
-        let mut html = format!(
-            "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\">\
-             <meta name=\"viewport\" content=\"width=device-width\">\
-             <title>{title}</title><style>{}</style></head><body><h1>{title}</h1>\
-             <p class=\"lead\">{}</p>",
-            include_str!("page.css"),
-            escape(&self.lead)
-        );
-        html.push_str("<div class=\"facts\">");
-        for (name, value) in &self.facts {
-            let _ = write!(html, "<div><b>{name}</b>{}</div>", escape(value));
-        }
-        html.push_str("</div>");
-        if let Some(viewer) = &self.viewer {
-            viewer.figure(&mut html);
-        }
-        for map in &self.maps {
-            map.section(&mut html);
-        }
-        self.distribution(&mut html);
-        self.flag_table(&mut html);
-        if let Some(coverage) = &self.coverage {
-            coverage_section(coverage, &mut html);
-        }
-        html.push_str("<h2>Sensor and part</h2>");
-        figures(
-            &mut html,
-            "wide",
-            self.setup.iter().map(|(c, svg)| (*c, svg.as_str())),
-        );
-        html.push_str(
-            "<p>Red: laser. Blue: the camera's field of view. Green: where it meets the laser \
-             plane. Dashed: the laser's path.</p>",
-        );
-        self.frame_section(&mut html);
-        self.plan_table(&mut html);
-        table(&mut html, "The run", &self.run);
-        html.push_str("</body></html>\n");
-        html
+        // The template calls nothing that fails, and memory has no limit here.
+        self.render().expect("a page writes into memory")
     }
 
-    fn distribution(&self, html: &mut String) {
-        html.push_str("<h2>Distribution</h2>");
-        let Some(s) = &self.statistics else {
-            html.push_str("<p>No valid point, so nothing to show.</p>");
-            return;
-        };
-        let histograms = self.histograms.iter();
-        figures(
-            html,
-            "wide",
-            histograms.map(|(c, svg)| (c.as_str(), svg.as_str())),
-        );
-        let _ = write!(
-            html,
-            "<table><tr><th>points</th><td>{}</td></tr>\
-             <tr><th>mean</th><td>{} µm</td></tr><tr><th>standard deviation</th><td>{} µm</td></tr>\
-             <tr><th>smallest, largest</th><td>{} µm, {} µm</td></tr><tr><th>percentiles</th><td>",
-            s.points,
-            short(s.mean_um),
-            short(s.std_um),
-            short(s.min_um),
-            short(s.max_um)
-        );
-        for (percent, value) in &s.percentiles_um {
-            let _ = write!(html, "{percent} %: {} µm &ensp; ", short(*value));
-        }
-        html.push_str("</td></tr></table>");
-    }
-
-    fn flag_table(&self, html: &mut String) {
-        html.push_str("<h2>Flags</h2><table><tr><th>flag</th><th>points</th><th>meaning</th></tr>");
-        for flag in &self.flags {
-            let _ = write!(
-                html,
-                "<tr><td>{}</td><td class=\"n\">{}</td><td>{}</td></tr>",
-                flag.name, flag.points, flag.meaning
-            );
-        }
-        html.push_str("</table>");
-    }
-
-    fn frame_section(&self, html: &mut String) {
-        if self.frames.is_empty() {
-            return;
-        }
-        html.push_str(
-            "<h2>Sensor frames</h2><input type=\"checkbox\" id=\"line\" checked>\
-             <label for=\"line\"> extracted line</label><div class=\"frames\">",
-        );
-        for frame in &self.frames {
-            frame.figure(html);
-        }
-        html.push_str("</div>");
-    }
-
-    fn plan_table(&self, html: &mut String) {
-        html.push_str(
-            "<h2>What was modelled</h2>\
-             <table class=\"plan\"><tr><th>effect</th><th>modelled</th><th>how</th><th>why</th>",
-        );
-        // Only a plan for a tolerance has these numbers.
-        let numbers = self.plan.iter().any(|row| row[4..] != ["", ""]);
-        if numbers {
-            html.push_str("<th>moves height by, µm</th><th>costs, ms a frame</th>");
-        }
-        html.push_str("</tr>");
-        for row in &self.plan {
-            html.push_str("<tr>");
-            for cell in &row[..if numbers { 6 } else { 4 }] {
-                let _ = write!(html, "<td>{}</td>", escape(cell));
-            }
-            html.push_str("</tr>");
-        }
-        html.push_str("</table>");
-        if let Some(accuracy) = &self.accuracy {
-            let _ = write!(html, "<p>{}</p>", escape(accuracy));
+    /// Those of the plan's table; the last two are there if some effect has them.
+    fn plan_columns(&self) -> usize {
+        match self.plan.iter().any(|row| row[4..] != ["", ""]) {
+            true => 6,
+            false => 4,
         }
     }
 }
 
-fn figures<'a>(html: &mut String, class: &str, content: impl Iterator<Item = (&'a str, &'a str)>) {
-    let _ = write!(html, "<div class=\"views {class}\">");
-    for (caption, svg) in content {
-        let _ = write!(
-            html,
-            "<figure>{svg}<figcaption>{}</figcaption></figure>",
-            escape(caption)
-        );
-    }
-    html.push_str("</div>");
-}
+mod filters {
+    use super::{Fate, explained, of_fate};
+    use crate::report::{chart, color, picture};
+    use askama::{Result, Values, filter_fn};
 
-fn table(html: &mut String, title: &str, rows: &[(&str, String)]) {
-    let _ = write!(html, "<h2>{title}</h2><table>");
-    for (name, value) in rows {
-        let _ = write!(html, "<tr><th>{name}</th><td>{}</td></tr>", escape(value));
+    #[filter_fn]
+    pub fn short(value: &f64, _: &dyn Values) -> Result<String> {
+        Ok(chart::short(*value))
     }
-    html.push_str("</table>");
-}
 
-impl ColorMap {
-    fn section(&self, html: &mut String) {
-        let _ = write!(
-            html,
-            "<h2>{}</h2>{}<p>{}</p>",
-            self.title, self.bar, self.legend
-        );
-        html.push_str("<div class=\"views\">");
-        for (caption, png) in &self.views {
-            let _ = write!(
-                html,
-                "<figure><img alt=\"{caption}\" src=\"{}\"><figcaption>{caption}</figcaption></figure>",
-                data_url(png)
-            );
-        }
-        html.push_str("</div>");
+    #[filter_fn]
+    pub fn data_url(png: &[u8], _: &dyn Values) -> Result<String> {
+        Ok(picture::data_url(png))
+    }
+
+    #[filter_fn]
+    pub fn fate_colour(fate: &Fate, _: &dyn Values) -> Result<String> {
+        Ok(color::css(of_fate(*fate)))
+    }
+
+    #[filter_fn]
+    pub fn fate_name(fate: &Fate, _: &dyn Values) -> Result<&'static str> {
+        Ok(explained(*fate).0)
+    }
+
+    #[filter_fn]
+    pub fn fate_meaning(fate: &Fate, _: &dyn Values) -> Result<&'static str> {
+        Ok(explained(*fate).1)
     }
 }
 
@@ -276,47 +156,19 @@ fn explained(fate: Fate) -> (&'static str, &'static str) {
     }
 }
 
-fn coverage_section(coverage: &SurfaceCoverage, html: &mut String) {
-    let parts: Vec<(&str, f64, Rgb)> = coverage
-        .shares
-        .iter()
+/// A bar of what became of the surface.
+fn shares(coverage: &SurfaceCoverage) -> String {
+    let shares = coverage.shares.iter();
+    let parts: Vec<(&str, f64, Rgb)> = shares
         .map(|&(fate, share)| (explained(fate).0, share, of_fate(fate)))
         .collect();
-    let _ = write!(
-        html,
-        "<h2>Coverage of the CAD surface</h2>{}\
-         <table><tr><th>area</th><th>mm²</th><th>%</th><th>meaning</th></tr>",
-        share_bar("coverage of the CAD surface", &parts)
-    );
-    for &(fate, share) in &coverage.shares {
-        let (name, meaning) = explained(fate);
-        let _ = write!(
-            html,
-            "<tr><td><span class=\"key\" style=\"background:{}\"></span>{name}</td>\
-             <td class=\"n\">{}</td><td class=\"n\">{}</td><td>{meaning}</td></tr>",
-            css(of_fate(fate)),
-            short(share * coverage.area_mm2),
-            short(100.0 * share)
-        );
-    }
-    let density = coverage.points_per_mm2.map_or(String::new(), |density| {
-        format!(
-            " Where it was measured it has {} points per mm².",
-            short(density)
-        )
-    });
-    let _ = write!(
-        html,
-        "</table><p>From {} places spread evenly over the whole mesh, its inside faces too.\
-         {density}</p>",
-        coverage.samples
-    );
+    share_bar("coverage of the CAD surface", &parts)
 }
 
 impl SampleFrame {
     /// The frame with the line over it; breaks in the line where columns are
     /// missing or the row jumps.
-    fn figure(&self, html: &mut String) {
+    fn svg(&self) -> String {
         let view = [0.0, 0.0, self.width.into(), self.height.into()];
         let mut svg = Svg::part(view, "", &format!("sensor frame {}", self.number));
         svg.image(view, &self.png);
@@ -324,14 +176,7 @@ impl SampleFrame {
         for run in self.line.chunk_by(joined) {
             svg.polyline(run.iter().map(|&(x, y)| [x, y]), "stroke='#00c8ff'");
         }
-        let _ = write!(
-            html,
-            "<figure class=\"frame\">{}<figcaption>Frame {}, {}: counts, brightened (gamma 2.2), with the extracted \
-             line in blue.</figcaption></figure>",
-            svg.finish(),
-            self.number,
-            self.why
-        );
+        svg.finish()
     }
 }
 
@@ -365,7 +210,7 @@ mod tests {
             run: vec![],
         };
         let html = report.html();
-        assert!(html.contains("a &lt;b&gt; &amp; c") && html.contains("x&lt;y&gt;.toml"));
+        assert!(html.contains("a &#60;b&#62; &#38; c") && html.contains("x&#60;y&#62;.toml"));
         assert_eq!(
             html.matches("<polyline").count(),
             2,

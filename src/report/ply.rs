@@ -7,7 +7,7 @@ use std::io::{self, Write};
 /// Deviation at which colours end, µm: 98 of 100 valid points lie within; a nanometre where all
 /// is exact, and a micrometre without a valid point.
 pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64) -> f64 {
-    let valid = points.iter().filter(|p| p.is_sound());
+    let valid = points.iter().filter(|p| p.is_valid());
     let mut values: Vec<f64> = valid.map(|p| value(p).abs() * 1e3).collect();
     values.sort_by(f64::total_cmp);
     let at = values.get(values.len() * 98 / 100);

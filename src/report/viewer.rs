@@ -4,7 +4,6 @@
 use super::color::Rgb;
 use super::picture::base64;
 use crate::math::{Aabb, DVec3};
-use std::fmt::Write;
 
 /// Points of one kind, each drawn in the colours of several modes.
 pub struct Layer {
@@ -34,7 +33,8 @@ pub struct Viewer {
 }
 
 impl Viewer {
-    pub(crate) fn figure(&self, html: &mut String) {
+    /// What its script reads: JSON that cannot end a script element.
+    pub(super) fn data(&self) -> String {
         let places: Vec<serde_json::Value> = self.layers.iter().map(Layer::packed).collect();
         let modes: Vec<serde_json::Value> = self
             .layers
@@ -56,19 +56,7 @@ impl Viewer {
             "places": places,
             "modes": modes,
         });
-        // In a script element `<` could end it.
-        let data = data.to_string().replace('<', "\\u003c");
-        let _ = write!(
-            html,
-            "<div id=\"viewer\"><label>Colours: <select></select></label>\
-             <label>Seen from: below <input type=\"range\" min=\"-1.6\" max=\"1.6\" step=\"any\"> above</label>\
-             <canvas tabindex=\"0\" aria-label=\"the points in 3D\"></canvas><p></p>\
-             <p>Mouse: drag to turn, wheel to zoom, Shift and drag to move. Touch: one finger sideways \
-             turns, two fingers zoom and move. Keys: arrows turn, + and - zoom.</p></div>\
-             <script type=\"application/json\" id=\"viewer-data\">{data}</script>\
-             <script>{}</script>",
-            include_str!("viewer.js")
-        );
+        data.to_string().replace('<', "\\u003c")
     }
 }
 
@@ -117,8 +105,6 @@ mod tests {
         let size: Vec<f64> = serde_json::from_value(packed["size"].clone()).unwrap();
         assert_eq!(size[..2], [1.0, 0.5]);
         assert!((0.0..1e-300).contains(&size[2]));
-        let mut html = String::new();
-        viewer.figure(&mut html);
-        assert_eq!(html.matches("</script>").count(), 2);
+        assert!(!viewer.data().contains('<'));
     }
 }

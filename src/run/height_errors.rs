@@ -46,10 +46,10 @@ impl HeightErrors {
         };
         let difference = |found: Option<&Peak>, truth: Option<&Peak>| {
             // Whether an edge is near is for the whole frame and its neighbours to say.
-            let sound = |peak: Option<&Peak>| {
-                peak.is_some_and(|peak| peak.flags.difference(Flags::EDGE).is_sound())
+            let valid = |peak: Option<&Peak>| {
+                peak.is_some_and(|peak| peak.flags.difference(Flags::EDGE).is_valid())
             };
-            if !sound(found) && !sound(truth) {
+            if !valid(found) && !valid(truth) {
                 return None;
             }
             match (found, truth) {

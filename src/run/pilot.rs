@@ -184,8 +184,8 @@ impl Looked {
                 blur: self.full.defocus_blur_px(peak).unwrap_or(0.0),
             })
         };
-        let sound = peaks.iter().enumerate().filter(|(_, p)| p.flags.is_sound());
-        sound.filter_map(point).collect()
+        let valid = peaks.iter().enumerate().filter(|(_, p)| p.flags.is_valid());
+        valid.filter_map(point).collect()
     }
 }
 

@@ -9,8 +9,7 @@ use crate::error::Result;
 use crate::frame::Sampling;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::height_error::quantile;
-use crate::plan::rules::Effect;
-use crate::plan::rules::Plan;
+use crate::plan::rules::{Effect, EffectKind, Plan};
 use crate::plan::words::in_words;
 use crate::scene::{PlanTable, Scene};
 use crate::speckle::lookup::Method;
@@ -25,14 +24,18 @@ fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
         list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
     };
     if plan.geometry_only {
-        tell("width of the line", false, NO_WIDTH);
-        tell("speckle", false, "none");
+        tell(EffectKind::LineWidth, false, NO_WIDTH);
+        tell(EffectKind::Speckle, false, "none");
     } else {
         if methods.speckle.is_some() {
-            tell("speckle", plan.speckle.is_some(), speckle_method(&plan));
+            tell(
+                EffectKind::Speckle,
+                plan.speckle.is_some(),
+                speckle_method(&plan),
+            );
         }
         if methods.noise.is_some() {
-            tell("sensor noise", plan.noise, noise_method(&plan));
+            tell(EffectKind::SensorNoise, plan.noise, noise_method(&plan));
         }
         let PlanTable {
             samples_per_side,
@@ -41,7 +44,7 @@ fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
             ..
         } = methods;
         if samples_per_side.is_some() || sampling.is_some() || cutoff_radii.is_some() {
-            tell("pixel integration", true, &in_words(&plan));
+            tell(EffectKind::PixelIntegration, true, &in_words(&plan));
         }
     }
     plan.effects
@@ -57,17 +60,20 @@ fn slip_named(methods: &PlanTable) -> Option<Effect> {
     } else {
         "moves with the surface"
     };
-    Some(Effect::new(SLIP, slips, method.into(), NAMED.into()))
+    Some(Effect::new(
+        EffectKind::SpeckleOutOfFocus,
+        slips,
+        method.into(),
+        NAMED.into(),
+    ))
 }
 
-const SLIP: &str = "speckle out of focus";
 const NO_WIDTH: &str = "laser rays without width";
 
 fn speckle_method(plan: &Plan) -> &'static str {
     match plan.speckle {
         Some(Method::Field) => "complex field of each frame",
         Some(Method::Trilinear) => "ring of intensities",
-        Some(Method::Prefiltered { .. }) => "ring integrated over pixels",
         None => "light taken as incoherent",
     }
 }
@@ -111,25 +117,23 @@ fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect
         false => ("image", "bends, edges and shadows shape the line"),
     };
     let no_image = choice.influence(|finest| *finest = geometry_only(finest.clone()))?;
-    let width = list.add("width of the line", !plan.geometry_only, method, no_image);
+    let width = list.add(EffectKind::LineWidth, !plan.geometry_only, method, no_image);
     width.why = because(methods.geometry_only.is_some(), why);
     width.cost_ms = Some(choice.pilot.cost_ms(&image));
     if !plan.geometry_only {
         list.image(methods, choice, plan)?;
     }
-    let replaced = ["speckle", "pixel integration"];
+    let replaced = [EffectKind::Speckle, EffectKind::PixelIntegration];
     let others = base.effects.iter();
     let others = others.filter(|e| !replaced.contains(&e.effect));
     list.0.extend(others.cloned().map(|mut effect| {
         match effect.effect {
-            "defocus" => {
+            EffectKind::Defocus => {
                 effect.influence_um = quantile(&choice.pilot.defocus());
                 effect.why = plan.defocus_in_words();
             }
-            "diffraction of the lens" => {
-                effect.influence_um = quantile(&choice.pilot.diffraction())
-            }
-            SLIP => return slip_named(methods).unwrap_or(effect),
+            EffectKind::Diffraction => effect.influence_um = quantile(&choice.pilot.diffraction()),
+            EffectKind::SpeckleOutOfFocus => return slip_named(methods).unwrap_or(effect),
             _ => {}
         }
         effect
@@ -149,7 +153,7 @@ struct List(Vec<Effect>);
 impl List {
     fn add(
         &mut self,
-        effect: &'static str,
+        effect: EffectKind,
         modelled: bool,
         method: &str,
         influence_um: Option<f64>,
@@ -168,14 +172,24 @@ impl List {
         if scene.speckle.is_some() {
             let influence = choice.influence(|finest| finest.speckle = None)?;
             let modelled = plan.speckle.is_some();
-            let speckle = self.add("speckle", modelled, speckle_method(plan), influence);
+            let speckle = self.add(
+                EffectKind::Speckle,
+                modelled,
+                speckle_method(plan),
+                influence,
+            );
             let why = format!("grain {}", plan.grain);
             speckle.why = because(methods.speckle.is_some(), &why);
             speckle.cost_ms = Some(speckle_ms);
         }
         if scene.camera.sensor.noise.is_some() {
             let influence = choice.influence(|finest| finest.noise = false)?;
-            let noise = self.add("sensor noise", plan.noise, noise_method(plan), influence);
+            let noise = self.add(
+                EffectKind::SensorNoise,
+                plan.noise,
+                noise_method(plan),
+                influence,
+            );
             noise.why = because(methods.noise.is_some(), "shot noise and read noise");
             noise.cost_ms = Some(noise_ms);
         }
@@ -187,19 +201,19 @@ impl List {
         let n = plan.samples_per_side;
         let method = format!("{n} × {n} samples a pixel");
         let left = choice.influence(|finest| finest.samples_per_side = n)?;
-        self.add("pixel integration", true, &method, left).why =
-            because(methods.samples_per_side.is_some(), "what these still leave");
+        self.add(EffectKind::PixelIntegration, true, &method, left)
+            .why = because(methods.samples_per_side.is_some(), "what these still leave");
         let (modelled, method) = match plan.sampling {
             Sampling::Rays => (true, "a ray for each sample"),
             Sampling::Planes if n == 1 => (false, "1 ray a pixel"),
             Sampling::Planes => (false, "flat between pixels, rays at edges"),
         };
         let left = choice.influence(|finest| finest.sampling = plan.sampling)?;
-        self.add("surface within a pixel", modelled, method, left)
+        self.add(EffectKind::SurfaceWithinPixel, modelled, method, left)
             .why = because(methods.sampling.is_some(), "what facets that bend leave");
         let method = format!("dark beyond {:.2} beam radii", plan.cutoff_radii);
         let left = choice.influence(|finest| finest.cutoff_radii = plan.cutoff_radii)?;
-        self.add("light far from the line", false, &method, left)
+        self.add(EffectKind::LightFarFromLine, false, &method, left)
             .why = because(methods.cutoff_radii.is_some(), "what that cuts off");
         Ok(())
     }

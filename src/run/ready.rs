@@ -49,7 +49,7 @@ pub(crate) fn simulation(
 /// let plan = lasertrace::run::scene_plan(&scene)?;
 /// assert!(!plan.geometry_only && plan.speckle.is_none());
 /// for effect in &plan.effects {
-///     println!("{}: {} ({})", effect.effect, effect.method, effect.why);
+///     println!("{}: {} ({})", effect.effect.name(), effect.method, effect.why);
 /// }
 /// # Ok::<(), lasertrace::Error>(())
 /// ```

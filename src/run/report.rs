@@ -49,7 +49,7 @@ fn plan_row(effect: &Effect) -> [String; 6] {
     let modelled = if effect.modelled { "yes" } else { "no" };
     let number = |n: Option<f64>| n.map_or(String::new(), short);
     [
-        effect.effect.into(),
+        effect.effect.name().into(),
         modelled.into(),
         effect.method.clone(),
         effect.why.clone(),
@@ -148,7 +148,7 @@ impl Shown<'_> {
             "Red: outside the material. Blue: inside. Valid points only.",
             &views,
             &|p| diverging(p.deviation * 1e3, limits.deviation_um),
-            &|p| p.is_sound(),
+            &|p| p.is_valid(),
         )];
         control.check()?;
         maps.push(self.map(
@@ -160,14 +160,14 @@ impl Shown<'_> {
              those flagged outside. Valid points only.",
             &views[..2],
             &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
-            &|p| p.is_sound(),
+            &|p| p.is_valid(),
         ));
         control.check()?;
         Ok(maps)
     }
 
-    fn sound(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
-        self.points.iter().filter(|p| p.is_sound())
+    fn valid(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
+        self.points.iter().filter(|p| p.is_valid())
     }
 
     fn lead(&self) -> String {
@@ -287,7 +287,7 @@ impl Shown<'_> {
                     "Valid points grey-blue; points with a flag other than \"outside\" magenta."
                         .into(),
                     &|p| {
-                        if p.is_sound() { UNFLAGGED } else { FLAGGED }
+                        if p.is_valid() { UNFLAGGED } else { FLAGGED }
                     },
                 ),
             ],

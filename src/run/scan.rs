@@ -277,8 +277,8 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
     if !simulation.scene.measure.align {
         return None;
     }
-    let sound = points.iter().filter(|p| p.is_sound());
-    let positions: Vec<DVec3> = sound.map(|p| p.position).collect();
+    let valid = points.iter().filter(|p| p.is_valid());
+    let positions: Vec<DVec3> = valid.map(|p| p.position).collect();
     let fit = best_fit(&simulation.accel, &positions)?;
     points
         .par_iter_mut()
@@ -288,7 +288,7 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
 
 fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path) -> ScanSummary {
     let columns = scene.camera.sensor.resolution.x;
-    let sound = points.iter().filter(|p| p.is_sound());
+    let valid = points.iter().filter(|p| p.is_valid());
     let flags = count_flags(points).into_iter();
     ScanSummary {
         scene: scene.path.clone(),
@@ -297,7 +297,7 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
         blurred_share: None,
-        deviation: DeviationStatistics::of(sound.map(|p| p.deviation)),
+        deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(points),
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),

@@ -30,10 +30,7 @@ enum PatternSource {
         /// Whether in strips that refer to other poses.
         strips: bool,
     },
-    Ring {
-        lookup: Lookup,
-        per_pixel: bool,
-    },
+    Ring(Lookup),
 }
 
 enum Anchor {
@@ -108,12 +105,10 @@ impl ScanSpeckle {
                 let map = fields.map(grain, distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
-            Method::Trilinear | Method::Prefiltered { .. } => {
+            Method::Trilinear => {
                 let spec = ring_spec(scene.seed, model.aperture);
-                let source = PatternSource::Ring {
-                    lookup: Lookup::new(&spec, model.method, model.coherence)?,
-                    per_pixel: model.method != Method::Trilinear,
-                };
+                let lookup = Lookup::new(&spec, model.method, model.coherence)?;
+                let source = PatternSource::Ring(lookup);
                 let map = GrainMap::new(spec.texels_per_speckle, grain, distance);
                 (source, map)
             }
@@ -128,7 +123,7 @@ impl ScanSpeckle {
     /// Bytes of the patterns that reading takes.
     pub fn memory(&self) -> usize {
         match &self.source {
-            PatternSource::Ring { lookup, .. } => lookup.memory(),
+            PatternSource::Ring(lookup) => lookup.memory(),
             PatternSource::Frame { fields, strips } => {
                 let count = if *strips { 2 } else { 1 };
                 count * fields.field_memory()
@@ -153,10 +148,9 @@ impl ScanSpeckle {
                     },
                 }
             }
-            PatternSource::Ring { lookup, per_pixel } => Patterns::Ring {
+            PatternSource::Ring(lookup) => Patterns::Ring {
                 lookup,
                 slice: at.u * lookup.slices_per_diameter(),
-                per_pixel: *per_pixel,
             },
         };
         Speckle {

@@ -26,7 +26,7 @@ pub struct ScanSummary {
     /// Share of the points at which the lens's blur, which images do not have, is wider than
     /// two standard deviations of their line; `null` if there is none.
     pub blurred_share: Option<f64>,
-    /// Of valid points ([`CloudPoint::is_sound`](crate::inspect::cloud::CloudPoint::is_sound)); `null` if there is none.
+    /// Of valid points ([`CloudPoint::is_valid`](crate::inspect::cloud::CloudPoint::is_valid)); `null` if there is none.
     pub deviation: Option<DeviationStatistics>,
     /// Of all points.
     pub deviation_of_all: Option<DeviationStatistics>,

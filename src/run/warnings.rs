@@ -49,7 +49,7 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
 
 /// What a scan gave, and why if that is nothing.
 pub(crate) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) -> Vec<Warning> {
-    let result = match points.iter().any(CloudPoint::is_sound) {
+    let result = match points.iter().any(CloudPoint::is_valid) {
         true => None,
         false if points.is_empty() => Some(Reason::NothingMeasured { frames }),
         false => {

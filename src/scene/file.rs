@@ -53,9 +53,6 @@ pub enum SpeckleMethod {
     Field,
     /// The intensity, interpolated (Bergmann et al. 2016): loses contrast.
     Trilinear,
-    /// One reading a pixel of a pattern integrated over it; pixels of half a
-    /// grain and more.
-    Prefiltered,
 }
 
 /// What is inspected: exactly one of `mesh`, `plane`, `sphere`, `cylinder` and

@@ -88,7 +88,6 @@ impl Resolver<'_> {
     pub(super) fn speckle(
         &self,
         file: &SceneFile,
-        laser: &Laser,
         camera: &Camera,
     ) -> Result<Option<SpeckleModel>> {
         let polarisation_degree = file.part.polarisation_degree;
@@ -103,18 +102,9 @@ impl Resolver<'_> {
             "laser.independent_patterns",
             "from 1 to 64",
         )?;
-        let q = camera.pixel_in_grains(laser.beam.wavelength);
         let method = match file.speckle_method {
             SpeckleMethod::Field => Method::Field,
             SpeckleMethod::Trilinear => Method::Trilinear,
-            SpeckleMethod::Prefiltered => {
-                self.check(
-                    (0.5..=32.0).contains(&q),
-                    "speckle_method",
-                    &format!("field: a pixel is {q:.2} grains wide, prefiltered takes 0.5 to 32"),
-                )?;
-                Method::Prefiltered { q }
-            }
         };
         Ok(file.speckle.then_some(SpeckleModel {
             method,

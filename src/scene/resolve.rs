@@ -198,7 +198,7 @@ impl Resolver<'_> {
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
-        let speckle = self.speckle(&file, &laser, &camera)?;
+        let speckle = self.speckle(&file, &camera)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         let methods = self.methods(

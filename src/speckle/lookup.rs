@@ -26,7 +26,6 @@ impl Lookup {
     /// Makes the slices of `spec` and stores them for `method`.
     pub fn new(spec: &PatternSpec, method: Method, coherence: Coherence) -> Result<Lookup> {
         spec.validate()?;
-        method.validate(spec)?;
         coherence.validate()?;
         let slices = Slices::new(spec);
         let mut layers = coherence.layers(spec);
@@ -72,7 +71,6 @@ impl Lookup {
         match self.method {
             Method::Trilinear => self.trilinear(at),
             Method::Field => self.field(at),
-            Method::Prefiltered { .. } => self.prefiltered(at),
         }
     }
 
@@ -106,18 +104,6 @@ impl Lookup {
         let blended = fold((1.0 - w) * this + next * turn.xxxx() + next.yxwz() * turn.zwzw());
         let power = blended * blended;
         (power.x + power.y) * gain
-    }
-
-    #[inline(always)]
-    fn prefiltered(&self, at: Coordinate) -> f32 {
-        let cell = self.cell(at, 2);
-        let (v, w) = (1.0 - cell.w, cell.w);
-        let gain = 1.0 / (1.0 - w * v * self.texture.links[cell.slice].lost.z);
-        let [this, next] = self.columns(cell).map(fold);
-        let sum = v * v * this.x + 2.0 * v * w * this.y + w * w * next.x;
-        // Undoing the interpolation's blur can overshoot below zero in a dark
-        // grain.
-        sum.max(0.0) * gain
     }
 
     /// Two channels of the slice and of the next, their four taps weighted but

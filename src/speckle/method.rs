@@ -23,14 +23,6 @@ pub enum Method {
     /// [`super::theory::samples_across_pixel`]. A scan does not read it from a
     /// ring but from a [`super::frame_field`] of each frame's own.
     Field,
-    /// Field blended between slices, its intensity integrated over the pixel
-    /// beforehand: one reading is one pixel. Contrast within 1 % of the closed
-    /// form, most of it the slices' 0.4 %. All pixels have the q of the
-    /// pattern, so where h varies over the sensor, its contrast does not.
-    Prefiltered {
-        /// Pixel pitch over minimal speckle size, p/h; at least ½.
-        q: f64,
-    },
 }
 
 impl Method {
@@ -38,19 +30,7 @@ impl Method {
     pub(super) fn channels(&self) -> usize {
         match self {
             Method::Trilinear => 1,
-            Method::Field | Method::Prefiltered { .. } => 2,
-        }
-    }
-
-    pub(super) fn validate(&self, spec: &PatternSpec) -> Result<()> {
-        let most = spec.pupil_width() / 4.0;
-        match *self {
-            Method::Prefiltered { q } if !(q >= 0.5 && q <= most) => refuse(
-                "prefiltered pixel, in speckles",
-                q.to_string(),
-                &format!("a number from 0.5 to {most}"),
-            ),
-            _ => Ok(()),
+            Method::Field => 2,
         }
     }
 }

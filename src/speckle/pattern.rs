@@ -1,12 +1,9 @@
 //! One speckle pattern after Duncan & Kirkpatrick (2008): random unit phasors
 //! inside a pupil, Fourier transformed.
 //!
-//! Preprocessing of the default spec (1024², 64 slices), on two cores busy
-//! with other work: 0.7 s and 269 MB for trilinear lookups, 0.9 s and 538 MB
-//! for the field, 3.0 s and 538 MB prefiltered. Reading 538 MB back from a file
-//! took 1.8 s cold and 0.6 s from the page cache: making patterns is as fast,
-//! and a file would have to be kept true to its spec; so there is no cache on
-//! disk.
+//! There is no cache on disk: to make patterns is as fast as to read them back, and a file
+//! would have to be kept true to its spec. What making them takes, `cargo bench --bench speckle`
+//! tells.
 
 use crate::error::{Error, Result};
 use crate::math::rng::{Key, Purpose};

@@ -3,7 +3,7 @@
 //!
 //! Tolerances are what the project promises (1 % and the like). Each figure
 //! carries the standard error of its own measurement; enough patterns are
-//! measured to keep it below a quarter of the tolerance, so that a sound
+//! measured to keep it below a quarter of the tolerance, so that a right
 //! pattern fails a check by chance with a probability under 1e-4.
 
 pub use super::estimate::Check;

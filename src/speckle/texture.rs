@@ -2,11 +2,8 @@
 
 use super::fixed::{FRACTION_BITS, Fixed};
 use super::method::Method;
-use super::pattern::{Pattern, PatternSpec};
+use super::pattern::PatternSpec;
 use super::slices::Slices;
-use super::spectrum::Spectrum;
-use crate::math::DVec2;
-use crate::math::sinc;
 use glam::{DVec4, Vec4};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
@@ -49,15 +46,9 @@ impl Texture {
         let row_stride = method.channels() * (spec.size + 1);
         let slice_stride = row_stride * (spec.size + 1);
         let mut texels = vec![0.0; slice_stride * spec.slices];
-        let spectrum = Spectrum::new(spec.size);
         let slice = |(k, out): (usize, &mut [f32])| match method {
             Method::Trilinear => store(out, &slices.pattern(k).field, |a| [a.norm_sqr()]),
             Method::Field => store(out, &slices.sharpened(k).field, |a| [a.re, a.im]),
-            Method::Prefiltered { q } => {
-                let mut terms = products(&slices.pattern(k), &slices.pattern(k + 1));
-                integrate(&mut terms, &spectrum, q * spec.texels_per_speckle);
-                store(out, &terms, |i| [i.re, i.im]);
-            }
         };
         texels
             .par_chunks_exact_mut(slice_stride)
@@ -129,28 +120,6 @@ fn links(spec: &PatternSpec, slices: &Slices) -> Vec<Link> {
     (0..spec.slices).map(link).collect()
 }
 
-/// |A|² + i·Re(A*·B) of a pattern A and the next one B: with |B|², the three
-/// terms of |(1−w)A + wB|², which may each be integrated over the pixel
-/// beforehand.
-fn products(pattern: &Pattern, next: &Pattern) -> Vec<Complex32> {
-    let size = pattern.size;
-    let phases: Vec<Complex32> = (0..size)
-        .map(|k| DVec2::from_angle(std::f64::consts::TAU * k as f64 / size as f64))
-        .map(|phase| Complex32::new(phase.x as f32, phase.y as f32))
-        .collect();
-    // Each pattern is stored about its own carrier; turned into one band, the
-    // phasors they share have equal phases.
-    let [x, y] = std::array::from_fn(|axis| {
-        (next.carrier[axis] - pattern.carrier[axis]).rem_euclid(size as i64) as usize
-    });
-    let fields = pattern.field.iter().zip(&next.field);
-    let product = |(i, (a, b)): (usize, (&Complex32, &Complex32))| {
-        let phase = phases[(x * (i % size) + y * (i / size)) % size];
-        Complex32::new(a.norm_sqr(), (a.conj() * b * phase).re)
-    };
-    fields.enumerate().map(product).collect()
-}
-
 /// Copies texels into their padded place.
 fn store<const C: usize>(
     out: &mut [f32],
@@ -167,24 +136,4 @@ fn store<const C: usize>(
         row.copy_within(..C, size * C);
     }
     out.copy_within(..row_stride, size * row_stride);
-}
-
-/// Mean over a square `width` texels wide about each texel, exact for the
-/// band-limited intensity, and divided by the response sinc² of the linear
-/// interpolation that will read it. Real and imaginary part independently.
-fn integrate(values: &mut Vec<Complex32>, spectrum: &Spectrum, width: f64) {
-    let size = (values.len() as f64).sqrt() as usize;
-    spectrum.forward(values);
-    let response: Vec<f32> = (0..size)
-        .map(|i| {
-            let f = spectrum.frequency(i);
-            (sinc(width * f) / sinc(f).powi(2) / size as f64) as f32
-        })
-        .collect();
-    for (row, a) in values.chunks_exact_mut(size).zip(&response) {
-        for (value, b) in row.iter_mut().zip(&response) {
-            *value *= a * b;
-        }
-    }
-    spectrum.inverse(values);
 }

@@ -183,12 +183,12 @@ fn quartiles(values: &[f64]) -> [f64; 3] {
 const APART: u32 = 8;
 
 /// Contrast of the light of columns along lines: root of half the mean square difference
-/// of sound ones [`APART`], over their mean.
+/// of valid peaks [`APART`], over their mean.
 fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
     let (mut square, mut sum, mut pairs) = (0.0, 0.0, 0.0);
     for peaks in frames {
-        let sound = peaks.iter().filter(|p| p.flags.is_sound());
-        let light: BTreeMap<u32, f64> = sound.map(|p| (p.column, p.intensity)).collect();
+        let valid = peaks.iter().filter(|p| p.flags.is_valid());
+        let light: BTreeMap<u32, f64> = valid.map(|p| (p.column, p.intensity)).collect();
         for (column, a) in &light {
             if let Some(b) = light.get(&(column + APART)) {
                 square += 0.5 * (a - b).powi(2);

@@ -198,17 +198,9 @@ impl<'s> Tiers<'s> {
         };
         if base.speckle.is_some() {
             plans.push(with(None, base.noise));
-            let q = self
-                .scene
-                .camera
-                .pixel_in_grains(self.scene.laser.beam.wavelength);
-            let fits = (0.5..=32.0).contains(&q);
-            let prefiltered = fits.then_some(Method::Prefiltered { q });
-            let others = [Some(Method::Trilinear), prefiltered];
-            let others = others
-                .into_iter()
-                .filter(|m| m.is_some() && *m != base.speckle);
-            plans.extend(others.map(|method| with(method, base.noise)));
+            if base.speckle != Some(Method::Trilinear) {
+                plans.push(with(Some(Method::Trilinear), base.noise));
+            }
         }
         if base.speckle == Some(Method::Field) && !self.scene.scan.turns() {
             plans.push(Plan {
@@ -235,13 +227,7 @@ impl<'s> Tiers<'s> {
     fn finders(&mut self, base: &Plan) -> Result<()> {
         for finder in PeakFinder::ALL {
             if finder != self.scene.measure.finder {
-                let finder_name = match finder {
-                    PeakFinder::Centroid => "centroid",
-                    PeakFinder::LogParabola => "log-parabola",
-                    PeakFinder::GaussianFit => "gaussian-fit",
-                    PeakFinder::DerivativeZero => "derivative-zero",
-                };
-                let name = format!("peak finder {finder_name}");
+                let name = format!("peak finder {finder}");
                 self.add(&name, base.clone(), Coverage::Footprint)?.finder = finder;
             }
         }

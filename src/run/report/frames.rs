@@ -23,7 +23,7 @@ impl Shown<'_> {
             depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>()
         };
         let doubts = |frame: u32| {
-            let flagged = by_frame(frame).iter().filter(|p| !p.is_sound());
+            let flagged = by_frame(frame).iter().filter(|p| !p.is_valid());
             flagged.count() as f64
         };
         let most = |of: &dyn Fn(u32) -> f64| {

@@ -6,10 +6,10 @@ use crate::report::color::{diverging, sequential};
 
 impl Shown<'_> {
     pub(super) fn histograms(&self, limits: &Limits) -> Vec<(String, String)> {
-        let deviations: Vec<f64> = self.sound().map(|p| p.deviation * 1e3).collect();
-        let sigmas: Vec<f64> = self.sound().map(|p| p.deviation_sigma * 1e3).collect();
+        let deviations: Vec<f64> = self.valid().map(|p| p.deviation * 1e3).collect();
+        let sigmas: Vec<f64> = self.valid().map(|p| p.deviation_sigma * 1e3).collect();
         let ratios: Vec<f64> = self
-            .sound()
+            .valid()
             .filter(|p| p.deviation_sigma > 0.0)
             .map(|p| p.deviation / p.deviation_sigma)
             .collect();
