@@ -3,7 +3,6 @@
 //!
 //!     cargo run --release --example limits_plots
 
-mod plot;
 #[path = "../../tests/random/mod.rs"]
 mod random;
 mod rays;
@@ -13,12 +12,12 @@ use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Aperture;
 use lasertrace::profile::{Flags, Peak, PeakSettings, find_peaks};
+use lasertrace::report::limits_plot::{Curve, Panel, limits_plot};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use lasertrace::speckle::lookup::{Coherence, Coordinate, Lookup, Method};
 use lasertrace::speckle::pattern::PatternSpec;
 use lasertrace::speckle::theory::integrated_contrast;
-use plot::{Curve, Panel};
 use std::path::Path;
 
 fn main() {
@@ -41,7 +40,7 @@ fn main() {
             }
         }
     }
-    std::fs::write("docs/limits.svg", plot::drawing(&panels)).expect("docs/ of the project");
+    std::fs::write("docs/limits.svg", limits_plot(&panels)).expect("docs/ of the project");
 }
 
 /// A scene of the repository with some of its text replaced.

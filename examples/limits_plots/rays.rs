@@ -1,11 +1,11 @@
 //! Rays and triangles at their limits.
 
-use crate::plot::{Curve, Panel};
 use crate::random::Random;
 use glam::{DVec2, DVec3};
 use lasertrace::accel::{Accel, Hit, Ray, WIDTH};
 use lasertrace::math::Rigid;
 use lasertrace::mesh::{Mesh, shapes};
+use lasertrace::report::limits_plot::{Curve, Panel};
 
 fn closest(accel: &Accel, rays: &[Ray]) -> Vec<Option<Hit>> {
     let packets = rays.chunks(WIDTH);
