@@ -54,13 +54,18 @@ pub fn residual_picture(observations: &Observations, adjustment: &Adjustment) ->
         frame: [LEFT, below, WIDTH, CHART],
         beyond: [0.0; 2],
         title: &format!(
-            "Residuals of the laser line over the columns, all views; σ = {sigma:.4} px"
+            "Residuals of the laser line over the columns, all views; σ = {sigma:.4} px, \
+             3σ dashed"
         ),
         x: Axis::linear("column", columns),
         y: Axis::linear("residual / σ", [5.0, -5.0]),
     };
     svg.rect(axes.frame, PAPER);
     axes.draw(&mut svg);
+    for limit in [3.0, -3.0] {
+        let across = columns.map(|column| (column, limit));
+        axes.curve(&mut svg, across, "stroke='#888' stroke-dasharray='6 4'");
+    }
     for (point, residual) in observations.line.iter().zip(&adjustment.line_residuals) {
         let place = axes.at(point.pixel.x, residual / sigma);
         svg.circle(place, 1.6, "fill='#c0392b' fill-opacity='.6'");
