@@ -4,9 +4,9 @@
 use super::copies::{self, Copies};
 use super::hierarchy::{Backend, Hierarchy};
 use super::{Clusters, Face, Found, HalfSpace, Hit, Nearest, Ray, WIDTH};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3, Rigid};
-use crate::mesh::{Mesh, Shell, Watch, memory};
+use crate::mesh::{LARGEST_MM, Mesh, Shell, Watch, memory};
 use smallvec::SmallVec;
 use std::cell::Cell;
 use std::sync::{Arc, OnceLock};
@@ -75,9 +75,25 @@ impl Accel {
 
     /// The same hierarchy for copies of the mesh at these poses (at least one,
     /// part_from_copy), which takes some 80 bytes a copy beside them. Errors:
-    /// `Error::Memory` if there is too little.
+    /// `Error::Memory` if there is too little; `Error::Usage` for no pose, 2³² − 1 and
+    /// more, and one beyond 10¹² mm, with its number.
     pub fn with_copies(self, poses: impl Into<Arc<[Rigid]>>) -> Result<Accel> {
         let poses = poses.into();
+        let beyond = |pose: &Rigid| {
+            pose.translation.is_nan() || pose.translation.abs().max_element() > LARGEST_MM
+        };
+        if poses.is_empty() || poses.len() >= u32::MAX as usize {
+            return Err(Error::Usage(format!(
+                "{} instances, expected 1 to 4294967294",
+                poses.len()
+            )));
+        }
+        if let Some(wrong) = poses.iter().position(beyond) {
+            return Err(Error::Usage(format!(
+                "instance {wrong} is moved by {}, expected finite lengths within 1e12 mm",
+                poses[wrong].translation
+            )));
+        }
         let copies = match &*poses {
             [pose] if *pose == Rigid::IDENTITY => None,
             _ => {

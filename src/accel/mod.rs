@@ -7,6 +7,7 @@ mod assembly;
 #[cfg(feature = "embree")]
 mod astray;
 pub mod brute;
+mod cast;
 mod clusters;
 mod copies;
 #[cfg(feature = "embree")]
@@ -24,6 +25,7 @@ mod rust_bvh;
 mod watertight;
 
 pub use assembly::Accel;
+pub use cast::{CAST_ALONE, SurfacePoint};
 pub use clusters::{Clusters, Found, HalfSpace};
 pub use hierarchy::Backend;
 pub use refine::{Tolerance, facing_normal, refine};

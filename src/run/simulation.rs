@@ -8,7 +8,7 @@ use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
 use crate::error::Result;
-use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, View};
+use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, Truth, View};
 use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
 use crate::plan::in_view::{InView, Optics};
@@ -223,6 +223,11 @@ impl Simulation {
     /// What the sensor makes of the light.
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         self.readout.counts(irradiance, self.noise(frame))
+    }
+
+    /// What each pixel's centre looks at in a frame: depth, position, normal, triangle.
+    pub fn truth(&self, frame: u32) -> Truth {
+        frame::truth_layers(&self.view(frame))
     }
 
     /// The image that the sensor takes.
