@@ -113,7 +113,7 @@
 /*
  How a call went.
  */
-typedef enum lasertrace_status {
+typedef enum {
   /*
    Done.
    */
@@ -166,7 +166,7 @@ typedef struct lasertrace_simulation lasertrace_simulation;
 /*
  How a caster is made. All zero is the default.
  */
-typedef struct lasertrace_caster_options {
+typedef struct {
   /*
    LASERTRACE_BACKEND_...
    */
@@ -190,7 +190,7 @@ typedef struct lasertrace_caster_options {
 /*
  The half-line from `origin` along `direction`.
  */
-typedef struct lasertrace_ray {
+typedef struct {
   /*
    mm, within 1e12.
    */
@@ -209,7 +209,7 @@ typedef struct lasertrace_ray {
  A place on the surface. Where there is none: distance INFINITY, triangle and instance
  LASERTRACE_NOTHING, all else 0.
  */
-typedef struct lasertrace_surface_point {
+typedef struct {
   /*
    Of a ray, t from 0, where the place is origin + t * direction: mm if the direction is
    of length 1. Of a point, its distance, mm.
@@ -237,7 +237,7 @@ typedef struct lasertrace_surface_point {
 /*
  What the buffers for frames are sized by.
  */
-typedef struct lasertrace_size {
+typedef struct {
   /*
    Pixels along the laser's line.
    */
@@ -255,7 +255,7 @@ typedef struct lasertrace_size {
 /*
  What was measured in one column of a frame. What is not set is 0.
  */
-typedef struct lasertrace_profile_point {
+typedef struct {
   /*
    mm, in the part's frame.
    */
@@ -310,7 +310,7 @@ typedef struct lasertrace_profile_point {
  Where frames are written to. A buffer that is NULL, with length 0, is not wanted; one that
  is wanted holds all frames of the call, one after the other.
  */
-typedef struct lasertrace_frames {
+typedef struct {
   /*
    Counts of the sensor, row by row: frames * rows * columns.
    */
@@ -331,7 +331,7 @@ typedef struct lasertrace_frames {
   /*
    What was measured, one element a column: frames * columns.
    */
-  struct lasertrace_profile_point *profiles;
+  lasertrace_profile_point *profiles;
   /*
    Number of elements.
    */
@@ -364,27 +364,27 @@ const char *lasertrace_version(void);
  without a vertex, a matrix that is no rotation (the message has the number of each), or
  no triangle; LASERTRACE_STATUS_RESOURCES for too little memory. `*out` is then NULL.
  */
-enum lasertrace_status lasertrace_caster_new(const double *vertices,
-                                             size_t vertex_count,
-                                             const uint32_t *triangles,
-                                             size_t triangle_count,
-                                             const struct lasertrace_caster_options *options,
-                                             struct lasertrace_caster **out);
+lasertrace_status lasertrace_caster_new(const double *vertices,
+                                        size_t vertex_count,
+                                        const uint32_t *triangles,
+                                        size_t triangle_count,
+                                        const lasertrace_caster_options *options,
+                                        lasertrace_caster **out);
 
 /*
  lasertrace_caster_new() for vertices that are 32-bit floats.
  */
-enum lasertrace_status lasertrace_caster_new_f32(const float *vertices,
-                                                 size_t vertex_count,
-                                                 const uint32_t *triangles,
-                                                 size_t triangle_count,
-                                                 const struct lasertrace_caster_options *options,
-                                                 struct lasertrace_caster **out);
+lasertrace_status lasertrace_caster_new_f32(const float *vertices,
+                                            size_t vertex_count,
+                                            const uint32_t *triangles,
+                                            size_t triangle_count,
+                                            const lasertrace_caster_options *options,
+                                            lasertrace_caster **out);
 
 /*
  Frees a caster. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_caster_free(struct lasertrace_caster *caster);
+lasertrace_status lasertrace_caster_free(lasertrace_caster *caster);
 
 /*
  Casts `ray_count` rays and writes to `hits`, `hit_count` of them, what each meets first. The
@@ -397,68 +397,67 @@ enum lasertrace_status lasertrace_caster_free(struct lasertrace_caster *caster);
  LASERTRACE_STATUS_ARGUMENT for a ray that is none (NaN, a direction of length 0); the
  message has its number, and all hits are LASERTRACE_NOTHING then.
  */
-enum lasertrace_status lasertrace_closest_hits(const struct lasertrace_caster *caster,
-                                               const struct lasertrace_ray *rays,
-                                               size_t ray_count,
-                                               struct lasertrace_surface_point *hits,
-                                               size_t hit_count);
+lasertrace_status lasertrace_closest_hits(const lasertrace_caster *caster,
+                                          const lasertrace_ray *rays,
+                                          size_t ray_count,
+                                          lasertrace_surface_point *hits,
+                                          size_t hit_count);
 
 /*
  Casts `ray_count` rays and writes 1 to `hit` for each that meets something, else 0: just
  where lasertrace_closest_hits() finds something.
  */
-enum lasertrace_status lasertrace_any_hits(const struct lasertrace_caster *caster,
-                                           const struct lasertrace_ray *rays,
-                                           size_t ray_count,
-                                           uint8_t *hit,
-                                           size_t hit_count);
+lasertrace_status lasertrace_any_hits(const lasertrace_caster *caster,
+                                      const lasertrace_ray *rays,
+                                      size_t ray_count,
+                                      uint8_t *hit,
+                                      size_t hit_count);
 
 /*
  Writes to `nearest` the place of the surface nearest to each of `point_count` points, three
  64-bit floats each (mm, within 1e12). Errors as of lasertrace_closest_hits().
  */
-enum lasertrace_status lasertrace_nearest_points(const struct lasertrace_caster *caster,
-                                                 const double *points,
-                                                 size_t point_count,
-                                                 struct lasertrace_surface_point *nearest,
-                                                 size_t nearest_count);
+lasertrace_status lasertrace_nearest_points(const lasertrace_caster *caster,
+                                            const double *points,
+                                            size_t point_count,
+                                            lasertrace_surface_point *nearest,
+                                            size_t nearest_count);
 
 /*
  Reads a scene from a file (TOML, see docs/manual.md) and the mesh it names.
  LASERTRACE_STATUS_INPUT for a mistake in one; the message names file, line and key.
  */
-enum lasertrace_status lasertrace_scene_load(const char *path, struct lasertrace_scene **out);
+lasertrace_status lasertrace_scene_load(const char *path, lasertrace_scene **out);
 
 /*
  The same of a scene given as text; files it names are sought in `folder`.
  */
-enum lasertrace_status lasertrace_scene_parse(const char *toml,
-                                              const char *folder,
-                                              struct lasertrace_scene **out);
+lasertrace_status lasertrace_scene_parse(const char *toml,
+                                         const char *folder,
+                                         lasertrace_scene **out);
 
 /*
  Frees a scene. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_scene_free(struct lasertrace_scene *scene);
+lasertrace_status lasertrace_scene_free(lasertrace_scene *scene);
 
 /*
  How large a scene's frames are and how many its scan has.
  */
-enum lasertrace_status lasertrace_scene_size(const struct lasertrace_scene *scene,
-                                             struct lasertrace_size *out);
+lasertrace_status lasertrace_scene_size(const lasertrace_scene *scene, lasertrace_size *out);
 
 /*
  Plans a scene and builds all that its frames share. `threads`: 0 for one a core, at most
  1024. LASERTRACE_STATUS_RESOURCES for too little memory.
  */
-enum lasertrace_status lasertrace_simulation_new(const struct lasertrace_scene *scene,
-                                                 uint32_t threads,
-                                                 struct lasertrace_simulation **out);
+lasertrace_status lasertrace_simulation_new(const lasertrace_scene *scene,
+                                            uint32_t threads,
+                                            lasertrace_simulation **out);
 
 /*
  Frees a simulation. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_simulation_free(struct lasertrace_simulation *simulation);
+lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
 
 /*
  Takes `frame_count` frames from number `first_frame` on, many at once, and writes what of
@@ -470,12 +469,12 @@ enum lasertrace_status lasertrace_simulation_free(struct lasertrace_simulation *
  that were not taken hold nothing: counts 0, depths INFINITY, profiles of
  LASERTRACE_PROFILE_NOTHING.
  */
-enum lasertrace_status lasertrace_simulation_frames(const struct lasertrace_simulation *simulation,
-                                                    uint32_t first_frame,
-                                                    uint32_t frame_count,
-                                                    const struct lasertrace_frames *frames,
-                                                    lasertrace_progress progress,
-                                                    void *user);
+lasertrace_status lasertrace_simulation_frames(const lasertrace_simulation *simulation,
+                                               uint32_t first_frame,
+                                               uint32_t frame_count,
+                                               const lasertrace_frames *frames,
+                                               lasertrace_progress progress,
+                                               void *user);
 
 /*
  What was wrong with the last call of this thread that failed, in UTF-8, with the name of
@@ -501,27 +500,27 @@ const char *lasertrace_last_error(void);
  without a vertex, a matrix that is no rotation (the message has the number of each), or
  no triangle; LASERTRACE_STATUS_RESOURCES for too little memory. `*out` is then NULL.
  */
-enum lasertrace_status lasertrace_caster_new(const double *vertices,
-                                             size_t vertex_count,
-                                             const uint32_t *triangles,
-                                             size_t triangle_count,
-                                             const struct lasertrace_caster_options *options,
-                                             struct lasertrace_caster **out);
+lasertrace_status lasertrace_caster_new(const double *vertices,
+                                        size_t vertex_count,
+                                        const uint32_t *triangles,
+                                        size_t triangle_count,
+                                        const lasertrace_caster_options *options,
+                                        lasertrace_caster **out);
 
 /*
  lasertrace_caster_new() for vertices that are 32-bit floats.
  */
-enum lasertrace_status lasertrace_caster_new_f32(const float *vertices,
-                                                 size_t vertex_count,
-                                                 const uint32_t *triangles,
-                                                 size_t triangle_count,
-                                                 const struct lasertrace_caster_options *options,
-                                                 struct lasertrace_caster **out);
+lasertrace_status lasertrace_caster_new_f32(const float *vertices,
+                                            size_t vertex_count,
+                                            const uint32_t *triangles,
+                                            size_t triangle_count,
+                                            const lasertrace_caster_options *options,
+                                            lasertrace_caster **out);
 
 /*
  Frees a caster. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_caster_free(struct lasertrace_caster *caster);
+lasertrace_status lasertrace_caster_free(lasertrace_caster *caster);
 
 /*
  Casts `ray_count` rays and writes to `hits`, `hit_count` of them, what each meets first. The
@@ -534,68 +533,67 @@ enum lasertrace_status lasertrace_caster_free(struct lasertrace_caster *caster);
  LASERTRACE_STATUS_ARGUMENT for a ray that is none (NaN, a direction of length 0); the
  message has its number, and all hits are LASERTRACE_NOTHING then.
  */
-enum lasertrace_status lasertrace_closest_hits(const struct lasertrace_caster *caster,
-                                               const struct lasertrace_ray *rays,
-                                               size_t ray_count,
-                                               struct lasertrace_surface_point *hits,
-                                               size_t hit_count);
+lasertrace_status lasertrace_closest_hits(const lasertrace_caster *caster,
+                                          const lasertrace_ray *rays,
+                                          size_t ray_count,
+                                          lasertrace_surface_point *hits,
+                                          size_t hit_count);
 
 /*
  Casts `ray_count` rays and writes 1 to `hit` for each that meets something, else 0: just
  where lasertrace_closest_hits() finds something.
  */
-enum lasertrace_status lasertrace_any_hits(const struct lasertrace_caster *caster,
-                                           const struct lasertrace_ray *rays,
-                                           size_t ray_count,
-                                           uint8_t *hit,
-                                           size_t hit_count);
+lasertrace_status lasertrace_any_hits(const lasertrace_caster *caster,
+                                      const lasertrace_ray *rays,
+                                      size_t ray_count,
+                                      uint8_t *hit,
+                                      size_t hit_count);
 
 /*
  Writes to `nearest` the place of the surface nearest to each of `point_count` points, three
  64-bit floats each (mm, within 1e12). Errors as of lasertrace_closest_hits().
  */
-enum lasertrace_status lasertrace_nearest_points(const struct lasertrace_caster *caster,
-                                                 const double *points,
-                                                 size_t point_count,
-                                                 struct lasertrace_surface_point *nearest,
-                                                 size_t nearest_count);
+lasertrace_status lasertrace_nearest_points(const lasertrace_caster *caster,
+                                            const double *points,
+                                            size_t point_count,
+                                            lasertrace_surface_point *nearest,
+                                            size_t nearest_count);
 
 /*
  Reads a scene from a file (TOML, see docs/manual.md) and the mesh it names.
  LASERTRACE_STATUS_INPUT for a mistake in one; the message names file, line and key.
  */
-enum lasertrace_status lasertrace_scene_load(const char *path, struct lasertrace_scene **out);
+lasertrace_status lasertrace_scene_load(const char *path, lasertrace_scene **out);
 
 /*
  The same of a scene given as text; files it names are sought in `folder`.
  */
-enum lasertrace_status lasertrace_scene_parse(const char *toml,
-                                              const char *folder,
-                                              struct lasertrace_scene **out);
+lasertrace_status lasertrace_scene_parse(const char *toml,
+                                         const char *folder,
+                                         lasertrace_scene **out);
 
 /*
  Frees a scene. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_scene_free(struct lasertrace_scene *scene);
+lasertrace_status lasertrace_scene_free(lasertrace_scene *scene);
 
 /*
  How large a scene's frames are and how many its scan has.
  */
-enum lasertrace_status lasertrace_scene_size(const struct lasertrace_scene *scene,
-                                             struct lasertrace_size *out);
+lasertrace_status lasertrace_scene_size(const lasertrace_scene *scene, lasertrace_size *out);
 
 /*
  Plans a scene and builds all that its frames share. `threads`: 0 for one a core, at most
  1024. LASERTRACE_STATUS_RESOURCES for too little memory.
  */
-enum lasertrace_status lasertrace_simulation_new(const struct lasertrace_scene *scene,
-                                                 uint32_t threads,
-                                                 struct lasertrace_simulation **out);
+lasertrace_status lasertrace_simulation_new(const lasertrace_scene *scene,
+                                            uint32_t threads,
+                                            lasertrace_simulation **out);
 
 /*
  Frees a simulation. NULL is nothing to free, and LASERTRACE_STATUS_OK.
  */
-enum lasertrace_status lasertrace_simulation_free(struct lasertrace_simulation *simulation);
+lasertrace_status lasertrace_simulation_free(lasertrace_simulation *simulation);
 
 /*
  Takes `frame_count` frames from number `first_frame` on, many at once, and writes what of
@@ -607,12 +605,12 @@ enum lasertrace_status lasertrace_simulation_free(struct lasertrace_simulation *
  that were not taken hold nothing: counts 0, depths INFINITY, profiles of
  LASERTRACE_PROFILE_NOTHING.
  */
-enum lasertrace_status lasertrace_simulation_frames(const struct lasertrace_simulation *simulation,
-                                                    uint32_t first_frame,
-                                                    uint32_t frame_count,
-                                                    const struct lasertrace_frames *frames,
-                                                    lasertrace_progress progress,
-                                                    void *user);
+lasertrace_status lasertrace_simulation_frames(const lasertrace_simulation *simulation,
+                                               uint32_t first_frame,
+                                               uint32_t frame_count,
+                                               const lasertrace_frames *frames,
+                                               lasertrace_progress progress,
+                                               void *user);
 
 #ifdef __cplusplus
 }  // extern "C"

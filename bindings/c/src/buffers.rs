@@ -27,15 +27,10 @@ unsafe impl Plain for [u32; 3] {}
 
 fn check<T>(name: &str, pointer: *const T, count: usize) -> Outcome {
     let wrong = |found: String| {
-        let count = match count {
-            1 => "an element".to_owned(),
-            _ => format!("{count} elements"),
-        };
+        let (size, each) = (size_of::<T>(), align_of::<T>());
         Err(Failure::argument(format!(
-            "{name}: found {found}, expected a pointer to {count} of {} bytes at a multiple \
-             of {}",
-            size_of::<T>(),
-            align_of::<T>()
+            "{name}: found {found}, expected the address of {count} times {size} bytes, a multiple \
+             of {each}"
         )))
     };
     if pointer.is_null() {
@@ -83,6 +78,24 @@ pub unsafe fn write<'a, T: Plain>(
     // SAFETY: it is aligned, not NULL, no larger than memory, and by the caller's word
     // there and ours alone; what stands in it, whatever that is, is a value of T.
     Ok(unsafe { std::slice::from_raw_parts_mut(pointer, count) })
+}
+
+/// Questions and the places for as many answers; a buffer is its name, address and number.
+///
+/// # Safety
+/// As for [`read`] and [`write`].
+pub unsafe fn pair<'a, Q: Plain, A: Plain>(
+    questions: (&str, *const Q, usize),
+    answers: (&str, *mut A, usize),
+) -> Outcome<(&'a [Q], &'a mut [A])> {
+    let ((name, from, count), (answer_name, to, answer_count)) = (questions, answers);
+    same_number(&format!("number of {answer_name}"), answer_count, count)?;
+    apart(&[
+        (name, addresses(from, count)),
+        (answer_name, addresses(to, count)),
+    ])?;
+    // SAFETY: by the caller's word, and they do not overlap.
+    unsafe { Ok((read(name, from, count)?, write(answer_name, to, count)?)) }
 }
 
 /// A struct of the caller's.

@@ -1,6 +1,6 @@
 //! Rays against triangles.
 
-use crate::buffers::{Plain, addresses, apart, one, read, same_number, set, write};
+use crate::buffers::{Plain, one, pair, read, set};
 use crate::handles::{self, Handle};
 use crate::status::{Failure, Outcome, enter, lasertrace_status};
 use lasertrace_core::accel::{Accel, Backend, CAST_ALONE, Ray, SurfacePoint};
@@ -255,16 +255,9 @@ pub unsafe extern "C" fn lasertrace_closest_hits(
 ) -> lasertrace_status {
     enter("lasertrace_closest_hits", || {
         let caster = handles::find(caster)?;
-        same_number("hit_count", hit_count, ray_count)?;
-        apart(&[
-            ("rays", addresses(rays, ray_count)),
-            ("hits", addresses(hits, hit_count)),
-        ])?;
-        // SAFETY: by the caller's word, and they do not overlap.
-        let (rays, hits) = unsafe {
-            let hits = write::<SurfacePoint>("hits", hits.cast(), hit_count)?;
-            (read("rays", rays, ray_count)?, hits)
-        };
+        let hits: *mut SurfacePoint = hits.cast();
+        // SAFETY: by the caller's word.
+        let (rays, hits) = unsafe { pair(("rays", rays, ray_count), ("hits", hits, hit_count))? };
         caster.work(ray_count, || {
             Ok(caster.accel.closest_hits(|i| ray(&rays[i]), hits)?)
         })
@@ -283,18 +276,13 @@ pub unsafe extern "C" fn lasertrace_any_hits(
 ) -> lasertrace_status {
     enter("lasertrace_any_hits", || {
         let caster = handles::find(caster)?;
-        same_number("hit_count", hit_count, ray_count)?;
-        apart(&[
-            ("rays", addresses(rays, ray_count)),
-            ("hit", addresses(hit, hit_count)),
-        ])?;
-        // SAFETY: by the caller's word, and they do not overlap. Bytes that are all 0 are
-        // values of bool, which is as large as u8.
+        // SAFETY: by the caller's word. Bytes that are all 0 are values of bool, which is as
+        // large as u8.
         let (rays, hit) = unsafe {
-            let hit = write("hit", hit, hit_count)?;
+            let (rays, hit) = pair(("rays", rays, ray_count), ("hit", hit, hit_count))?;
             hit.fill(0);
             let hit = std::slice::from_raw_parts_mut(hit.as_mut_ptr().cast::<bool>(), hit.len());
-            (read("rays", rays, ray_count)?, hit)
+            (rays, hit)
         };
         caster.work(ray_count, || {
             Ok(caster.accel.any_hits(|i| ray(&rays[i]), hit)?)
@@ -314,16 +302,14 @@ pub unsafe extern "C" fn lasertrace_nearest_points(
 ) -> lasertrace_status {
     enter("lasertrace_nearest_points", || {
         let caster = handles::find(caster)?;
-        same_number("nearest_count", nearest_count, point_count)?;
         let points: *const [f64; 3] = points.cast();
-        apart(&[
-            ("points", addresses(points, point_count)),
-            ("nearest", addresses(nearest, nearest_count)),
-        ])?;
-        // SAFETY: by the caller's word, and they do not overlap.
+        let nearest: *mut SurfacePoint = nearest.cast();
+        // SAFETY: by the caller's word.
         let (points, nearest) = unsafe {
-            let nearest = write::<SurfacePoint>("nearest", nearest.cast(), nearest_count)?;
-            (read("points", points, point_count)?, nearest)
+            pair(
+                ("points", points, point_count),
+                ("nearest", nearest, nearest_count),
+            )?
         };
         caster.work(point_count, || {
             let point = |i: usize| DVec3::from_array(points[i]);

@@ -104,7 +104,7 @@ static void rays(void)
 
     row("rays NULL", lasertrace_closest_hits(caster, NULL, 1, &hit, 1), argument, "rays: found NULL");
     row("hits NULL", lasertrace_closest_hits(caster, &ray, 1, NULL, 1), argument, "hits: found NULL");
-    row("hits shorter than rays", lasertrace_closest_hits(caster, &ray, 2, &hit, 1), argument, "hit_count: found 1, expected 2");
+    row("hits shorter than rays", lasertrace_closest_hits(caster, &ray, 2, &hit, 1), argument, "number of hits: found 1, expected 2");
     row("hits in the place of rays", lasertrace_closest_hits(caster, (const lasertrace_ray *)(void *)pair, 2, pair, 2), argument, "overlap");
     row("no rays, all NULL", lasertrace_closest_hits(caster, NULL, 0, NULL, 0), LASERTRACE_STATUS_OK, "");
     ray.origin[1] = NAN;
@@ -123,7 +123,7 @@ static void rays(void)
     row("any hits: NULL", lasertrace_any_hits(caster, &good, 1, NULL, 1), argument, "hit: found NULL");
     row("nearest: a point at NaN", lasertrace_nearest_points(caster, point, 1, &hit, 1), argument, "point 0");
     row("nearest: points NULL", lasertrace_nearest_points(caster, NULL, 1, &hit, 1), argument, "points: found NULL");
-    row("nearest: a buffer too short", lasertrace_nearest_points(caster, point, 1, &hit, 0), argument, "nearest_count: found 0, expected 1");
+    row("nearest: a buffer too short", lasertrace_nearest_points(caster, point, 1, &hit, 0), argument, "number of nearest: found 0, expected 1");
 
     /* Handles. */
     const lasertrace_status handle = LASERTRACE_STATUS_HANDLE;

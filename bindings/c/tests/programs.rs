@@ -104,6 +104,9 @@ fn compiled(source: &str, linked: Linked, more: &[&str]) -> (tempfile::TempDir, 
 fn started(program: &Path) -> Command {
     let mut command = Command::new(program);
     command.env("LD_LIBRARY_PATH", installed().join("lib"));
+    let leaks = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/leaks.txt");
+    let leaks = format!("print_suppressions=0:suppressions={}", leaks.display());
+    command.env("LSAN_OPTIONS", leaks);
     command
 }
 
@@ -192,8 +195,9 @@ fn a_hostile_call_is_an_error() {
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
     each_way("tests/hostile.c", |mut program| {
         let output = run(program.arg(folder.join("scene.toml")).arg(&folder));
-        // Addresses and the number of frames are not the same everywhere.
-        let table: Vec<String> = text(&output).lines().map(row).collect();
+        // Folders and addresses are not the same everywhere.
+        let said = text(&output).replace(&folder.display().to_string(), "FOLDER");
+        let table: Vec<String> = said.lines().map(row).collect();
         let table = table.join("\n");
         let page = std::fs::read_to_string(&readme).unwrap();
         let head = "| call | status | message |\n|---|---|---|\n";
@@ -211,7 +215,7 @@ fn a_hostile_call_is_an_error() {
     });
 }
 
-/// A row without the function's name, its addresses and its bars.
+/// A row without its addresses.
 fn row(line: &str) -> String {
     let words = line.split(' ').map(|word| match word.starts_with("0x") {
         true => "0x…",
