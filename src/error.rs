@@ -83,7 +83,7 @@ impl fmt::Display for InputError {
 /// What can go wrong: each message says what was found and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The command line asks for something that cannot be done.
+    /// What the command line or a call asks for cannot be done.
     #[error("{}", printable::line(.0))]
     Usage(String),
     /// A scene or mesh file is wrong.

@@ -151,6 +151,30 @@ fn nearest_on_border([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     best
 }
 
+/// The weights u and v of the corners b and c for a place on the triangle, both ≥ 0 and
+/// u + v ≤ 1. Without an area they are those of its longest side.
+pub(super) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 2] {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let across = ab.cross(ac);
+    let area = across.length_squared();
+    let longest = (ab.length_squared()).max(ac.length_squared());
+    let longest = longest.max((c - b).length_squared());
+    let [u, v] = if area > (SLIVER * longest).powi(2) {
+        [ap.cross(ac), ab.cross(ap)].map(|part| part.dot(across) / area)
+    } else if longest == 0.0 {
+        [0.0, 0.0]
+    } else if longest == ab.length_squared() {
+        [ap.dot(ab) / longest, 0.0]
+    } else if longest == ac.length_squared() {
+        [0.0, ap.dot(ac) / longest]
+    } else {
+        let v = ((p - b).dot(c - b) / longest).clamp(0.0, 1.0);
+        [1.0 - v, v]
+    };
+    let u = u.clamp(0.0, 1.0);
+    [u, v.clamp(0.0, 1.0 - u)]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -31,6 +31,31 @@ impl Rigid {
         translation: DVec3::ZERO,
     };
 
+    /// From the first three rows of a 4 × 4 matrix that takes points (columns) from one frame
+    /// to the other: rotation and, last in each row, translation (mm). Errors: what is wrong,
+    /// if the rotation's rows are not at right angles and of length 1 to 1e-6, it mirrors,
+    /// or the translation is not finite. What the rotation is off is taken out.
+    pub fn from_rows(rows: [[f64; 4]; 3]) -> Result<Rigid, String> {
+        let [x, y, z] = rows.map(|[x, y, z, _]| DVec3::new(x, y, z));
+        let translation = DVec3::from_array(rows.map(|row| row[3]));
+        let given = DMat3::from_cols(x, y, z).transpose();
+        let off = given * given.transpose() - DMat3::IDENTITY;
+        // Also false for NaN.
+        let is_rotation = off.to_cols_array().iter().all(|v| v.abs() <= 1e-6);
+        if !is_rotation || given.determinant() < 0.0 || !translation.is_finite() {
+            return Err(format!(
+                "found {rows:?}, expected a rotation and a translation, without scale or mirror"
+            ));
+        }
+        // Gram and Schmidt; each step keeps what is orthonormal already to rounding.
+        let x = x.normalize();
+        let y = (y - x * x.dot(y)).normalize();
+        Ok(Rigid {
+            rotation: DMat3::from_cols(x, y, x.cross(y)).transpose(),
+            translation,
+        })
+    }
+
     /// A motion without rotation, mm.
     pub fn translation(translation: DVec3) -> Rigid {
         Rigid {
@@ -135,5 +160,32 @@ mod tests {
             let turn = pose.rotation * pose.rotation.transpose();
             assert!(turn.abs_diff_eq(DMat3::IDENTITY, 1e-15), "{turn}");
         }
+    }
+
+    #[test]
+    fn a_matrix_that_is_no_rigid_motion_is_refused() {
+        let turned = Rigid::from_euler_xyz(DVec3::new(0.3, -1.0, 2.0), DVec3::new(1.0, 2.0, 3.0));
+        let rows = |rigid: &Rigid| {
+            let rotation = rigid.rotation.transpose();
+            let rows =
+                [rotation.x_axis, rotation.y_axis, rotation.z_axis].map(|row| row.to_array());
+            let moved = rigid.translation.to_array();
+            std::array::from_fn(|i| [rows[i][0], rows[i][1], rows[i][2], moved[i]])
+        };
+        let given: [[f64; 4]; 3] = rows(&turned);
+        let read = Rigid::from_rows(given).unwrap();
+        assert!(read.rotation.abs_diff_eq(turned.rotation, 1e-15));
+        assert_eq!(read.translation, turned.translation);
+        assert_eq!(
+            Rigid::from_rows(rows(&Rigid::IDENTITY)),
+            Ok(Rigid::IDENTITY)
+        );
+        for (row, column, value) in [(0, 0, 2.0), (1, 2, f64::NAN), (2, 3, f64::INFINITY)] {
+            let mut wrong = given;
+            wrong[row][column] = value;
+            assert!(Rigid::from_rows(wrong).is_err(), "{row} {column}");
+        }
+        let mirrored = [given[1], given[0], given[2]];
+        assert!(Rigid::from_rows(mirrored).is_err());
     }
 }

@@ -56,6 +56,58 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// A mesh from vertices (mm) and triangles of three of them each; both keep their numbers,
+    /// and nothing is welded. A vertex that no triangle uses is put where the first triangle
+    /// begins, so that it does not widen the box. Triangles may be without area.
+    ///
+    /// # Errors
+    /// `Error::Usage`, with the number of the vertex or triangle, for a vertex that is not
+    /// finite or beyond 10¹² mm and for an index without a vertex; for no triangle, or
+    /// 2³² − 1 and more.
+    pub fn from_triangles(
+        vertices: impl IntoIterator<Item = DVec3>,
+        triangles: impl IntoIterator<Item = [u32; 3]>,
+    ) -> Result<Mesh, Error> {
+        let mut positions: Vec<DVec3> = vertices.into_iter().collect();
+        let triangles: Vec<[u32; 3]> = triangles.into_iter().collect();
+        let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= LARGEST_MM;
+        if let Some(wrong) = positions.iter().position(|p| !usable(p)) {
+            return Err(Error::Usage(format!(
+                "vertex {wrong} is {:?}, expected finite coordinates within 1e12 mm",
+                positions[wrong].to_array()
+            )));
+        }
+        let mut used = vec![false; positions.len()];
+        for (i, triangle) in triangles.iter().enumerate() {
+            for &vertex in triangle {
+                let Some(used) = used.get_mut(vertex as usize) else {
+                    return Err(Error::Usage(format!(
+                        "triangle {i} uses vertex {vertex}, expected a number below {}, that of \
+                         the vertices",
+                        positions.len()
+                    )));
+                };
+                *used = true;
+            }
+        }
+        if triangles.is_empty() || triangles.len() >= u32::MAX as usize {
+            return Err(Error::Usage(format!(
+                "{} triangles, expected 1 to 4294967294",
+                triangles.len()
+            )));
+        }
+        let first = positions[triangles[0][0] as usize];
+        for (position, used) in positions.iter_mut().zip(used) {
+            if !used {
+                *position = first;
+            }
+        }
+        Ok(Mesh {
+            positions,
+            triangles,
+        })
+    }
+
     /// Smallest box around all vertices (mm).
     pub fn bounds(&self) -> Aabb {
         Aabb::of(self.positions.iter().copied())

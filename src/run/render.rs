@@ -3,7 +3,6 @@
 use super::ready;
 use super::{Control, Coverage, files, need};
 use crate::error::Result;
-use crate::frame::truth_layers;
 use crate::report::picture::encode_counts;
 use crate::scene::Scene;
 use exr::prelude::FlatSamples;
@@ -44,7 +43,7 @@ pub fn render(
     let irradiance = simulation.irradiance(frame);
     let counts = simulation.counts(frame, &irradiance);
     let all = counts.by_column();
-    let truth = truth_layers(&simulation.view(frame));
+    let truth = simulation.truth(frame);
     control.check()?;
     let resolution = scene.camera.sensor.resolution;
     let png = out.join(format!("frame-{frame:06}.png"));

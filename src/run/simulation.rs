@@ -8,7 +8,7 @@ use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
 use crate::error::Result;
-use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, View};
+use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, Truth, View};
 use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
 use crate::plan::in_view::{InView, Optics};
@@ -35,8 +35,10 @@ pub struct Simulation {
     /// Rays against the part; clones share one hierarchy.
     pub accel: Arc<Accel>,
     /// Which effects are modelled, and how.
+    #[doc(hidden)]
     pub plan: Plan,
     /// What the measurement knows of the sensor.
+    #[doc(hidden)]
     pub calibration: Calibration,
     speckle: Option<Arc<ScanSpeckle>>,
     /// `None`: every sample is traced.
@@ -133,6 +135,7 @@ impl Simulation {
     }
 
     /// What `frame` is taken of, at the middle of its exposure.
+    #[doc(hidden)]
     pub fn view(&self, frame: u32) -> View<'_> {
         self.view_of(&self.pose(frame))
     }
@@ -176,6 +179,7 @@ impl Simulation {
     }
 
     /// The light on the sensor in a frame, the mean over the poses of its exposure.
+    #[doc(hidden)]
     pub fn irradiance(&self, frame: u32) -> Irradiance {
         self.mean(frame, &self.region())
     }
@@ -221,8 +225,14 @@ impl Simulation {
     }
 
     /// What the sensor makes of the light.
+    #[doc(hidden)]
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         self.readout.counts(irradiance, self.noise(frame))
+    }
+
+    /// What each pixel's centre looks at in a frame: depth, position, normal, triangle.
+    pub fn truth(&self, frame: u32) -> Truth {
+        frame::truth_layers(&self.view(frame))
     }
 
     /// The image that the sensor takes.

@@ -1,0 +1,374 @@
+//! Many rays in one call: at vertices and edges, beside brute force, by both backends, on
+//! any number of threads; and what is not a ray.
+
+use super::super::hierarchy::tests::{rays_at, soup};
+use super::super::{Backend, brute};
+use super::*;
+use crate::math::rng::{Key, Purpose};
+use crate::math::{Aabb, Rigid};
+use crate::mesh::{Mesh, shapes};
+use std::sync::Arc;
+
+/// What stands in a buffer before a call, to be seen if it stays.
+const STALE: SurfacePoint = SurfacePoint {
+    distance: -7.0,
+    point: [-7.0; 3],
+    barycentric: [-7.0; 2],
+    triangle: 7,
+    instance: 7,
+};
+
+fn accels(mesh: &Mesh) -> Vec<Accel> {
+    let mesh = Arc::new(mesh.clone());
+    let backends = Backend::ALL.iter();
+    let built = backends.map(|&backend| Accel::build_with(backend, &mesh, 1, &|_| Ok(())).unwrap());
+    built.collect()
+}
+
+fn closest(accel: &Accel, rays: &[Ray]) -> Result<Vec<SurfacePoint>> {
+    let mut hits = vec![STALE; rays.len()];
+    accel.closest_hits(|i| rays[i], &mut hits).map(|()| hits)
+}
+
+fn any(accel: &Accel, rays: &[Ray]) -> Vec<bool> {
+    let mut hit = vec![true; rays.len()];
+    accel.any_hits(|i| rays[i], &mut hit).unwrap();
+    hit
+}
+
+fn uniform(key: Key, i: u64, half: f64) -> DVec3 {
+    DVec3::from_array(std::array::from_fn(|j| {
+        (key.with(i).uniform(j as u64) * 2.0 - 1.0) * half
+    }))
+}
+
+/// Rays from outside at every vertex and at places on every edge of a sphere about `middle`,
+/// with the distance at which they meet it.
+fn at_vertices_and_edges(mesh: &Mesh, middle: DVec3) -> Vec<(Ray, f64)> {
+    let key = Key::new(31, Purpose::SensorNoise);
+    let edges = (0..mesh.triangles.len()).flat_map(|i| {
+        let [a, b, c] = mesh.triangle(i);
+        let share = key.with(i as u64).uniform(9);
+        [a, a.lerp(b, share), b.lerp(c, 0.5), c.lerp(a, share)]
+    });
+    let aimed = edges.enumerate().map(|(i, target)| {
+        // Within 40° of straight down onto the sphere: no facet is seen from its back.
+        let outward = (target - middle).normalize();
+        let origin = target + 30.0 * outward + uniform(key, i as u64, 14.0);
+        let ray = Ray {
+            origin,
+            direction: target - origin,
+            t_max: f64::INFINITY,
+        };
+        (ray, origin.distance(target))
+    });
+    aimed.collect()
+}
+
+/// No ray is lost, and each meets the sphere where it is aimed at: to the rounding of
+/// coordinates up to 9000 mm (2⁻⁵³ of that is 1e-12 mm), some ten steps over a cosine above
+/// 0.6, and beside an edge to `resolution` times the angle between its facets, 0.1.
+#[test]
+fn rays_at_vertices_and_edges_of_a_closed_mesh_all_meet_it() {
+    let mut mesh = shapes::sphere(10.0, 0.05).unwrap();
+    let middle = DVec3::new(4000.0, -9000.0, 120.0);
+    for position in &mut mesh.positions {
+        *position += middle;
+    }
+    let (rays, lengths): (Vec<Ray>, Vec<f64>) =
+        at_vertices_and_edges(&mesh, middle).into_iter().unzip();
+    assert!(rays.len() > 1_000, "{}", rays.len());
+    for accel in accels(&mesh) {
+        let hits = closest(&accel, &rays).unwrap();
+        for ((hit, ray), length) in hits.iter().zip(&rays).zip(&lengths) {
+            assert!(hit.is_some(), "lost: {ray:?}");
+            // The direction reaches to the target, so t is 1 there.
+            let off = (hit.distance - 1.0) * length;
+            assert!(off.abs() < 1e-10 + 0.1 * accel.resolution(), "{off}");
+            check(&accel, hit);
+        }
+        assert!(any(&accel, &rays).into_iter().all(|hit| hit));
+    }
+}
+
+/// Weights are weights, and lead back to the point: within `resolution`, by which a ray
+/// may pass the triangle it is taken to meet, and rounding.
+fn check(accel: &Accel, hit: &SurfacePoint) {
+    let [u, v] = hit.barycentric;
+    assert!(u >= 0.0 && v >= 0.0 && u + v <= 1.0, "{u} {v}");
+    let [a, b, c] = accel.corners(Face {
+        copy: hit.instance,
+        triangle: hit.triangle,
+    });
+    let place = a * (1.0 - u - v) + b * u + c * v;
+    let off = place.distance(DVec3::from_array(hit.point));
+    assert!(off <= 2.0 * accel.resolution(), "{off}");
+}
+
+/// As in `hierarchy_tests`: of 8 000 rays at loose triangles, at most one passes an edge
+/// closer than f32 resolves. Half of the directions are not of length 1.
+#[test]
+fn hits_are_those_of_brute_force_in_units_of_the_direction() {
+    let mesh = soup();
+    let unit = rays_at(&mesh, 8_000);
+    let length = |i: usize| [1.0, 0.37][i & 1];
+    let given = |(i, ray): (usize, &Ray)| Ray {
+        direction: ray.direction * length(i),
+        ..*ray
+    };
+    let rays: Vec<Ray> = unit.iter().enumerate().map(given).collect();
+    for accel in accels(&mesh) {
+        let hits = closest(&accel, &rays).unwrap();
+        let (mut met, mut disagreements) = (0, 0);
+        for (i, (hit, ray)) in hits.iter().zip(&unit).enumerate() {
+            match brute::closest(&mesh, ray) {
+                None if *hit == SurfacePoint::NOTHING => {}
+                Some(truth) if truth.face.triangle == hit.triangle => {
+                    let slant = truth.normal.dot(ray.direction).abs();
+                    let off = hit.distance * length(i) - truth.t;
+                    assert!(off.abs() < 1e-10 / slant, "{off}");
+                    check(&accel, hit);
+                    met += 1;
+                }
+                _ => disagreements += 1,
+            }
+        }
+        assert!(met > 500 && disagreements <= 1, "{met} {disagreements}");
+        let some: Vec<bool> = hits.iter().map(SurfacePoint::is_some).collect();
+        assert_eq!(any(&accel, &rays), some);
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bytes() {
+    let mesh = soup();
+    let rays = rays_at(&mesh, 5_003);
+    let poses = [Rigid::IDENTITY, Rigid::translation(DVec3::X * 4.0)];
+    for accel in accels(&mesh) {
+        let accel = accel.with_copies(poses).unwrap();
+        let mut runs = [1, 2, 3].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            pool.build().unwrap().install(|| {
+                let mut nearest = vec![STALE; rays.len()];
+                accel
+                    .nearest_points(|i| rays[i].origin, &mut nearest)
+                    .unwrap();
+                (closest(&accel, &rays).unwrap(), nearest)
+            })
+        });
+        let last = runs[2].clone();
+        assert!(runs.iter_mut().all(|run| *run == last));
+        let instances: Vec<u32> = last.0.iter().map(|hit| hit.instance).collect();
+        assert!([0, 1, u32::MAX].iter().all(|i| instances.contains(i)));
+        last.0
+            .iter()
+            .filter(|hit| hit.is_some())
+            .for_each(|hit| check(&accel, hit));
+        last.1.iter().for_each(|place| check(&accel, place));
+    }
+}
+
+/// The end of a ray is exact: f64's next number decides.
+#[test]
+fn t_max_is_kept_to_the_last_digit() {
+    let mesh = Mesh::from_triangles([DVec3::ZERO, DVec3::X, DVec3::Y], [[0, 1, 2]]).unwrap();
+    let ray = |t_max: f64| Ray {
+        origin: DVec3::new(0.3, 0.3, 7.0),
+        direction: -DVec3::Z,
+        t_max,
+    };
+    for accel in accels(&mesh) {
+        let hits = closest(&accel, &[7f64.next_down(), 7.0, 7f64.next_up()].map(ray)).unwrap();
+        assert_eq!(
+            [0, 1, 2].map(|i| hits[i].distance),
+            [f64::INFINITY, 7.0, 7.0]
+        );
+        assert_eq!(hits[0], SurfacePoint::NOTHING);
+    }
+}
+
+/// From a little above, on and below a plane, away from it and at it, with another below: no
+/// distance is below 0, and what f64 tells apart further than `resolution` is told apart.
+#[test]
+fn nothing_behind_the_origin_is_met() {
+    let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+    let square = |z: f64| {
+        [
+            corner(0.0, 0.0, z),
+            corner(90.0, 0.0, z),
+            corner(0.0, 90.0, z),
+        ]
+    };
+    let mesh =
+        Mesh::from_triangles([square(0.0), square(-5.0)].concat(), [[0, 1, 2], [3, 4, 5]]).unwrap();
+    for accel in accels(&mesh) {
+        let resolution = accel.resolution();
+        for i in -400..=400 {
+            // To 4 times the resolution to each side, in steps of a hundredth.
+            let above = resolution * 0.01 * i as f64;
+            let down = Ray {
+                origin: corner(20.0 + 0.01 * i as f64, 30.0, above),
+                direction: -DVec3::Z,
+                t_max: f64::INFINITY,
+            };
+            let up = Ray {
+                direction: DVec3::Z,
+                ..down
+            };
+            let hits = closest(&accel, &[down, up]).unwrap();
+            assert!(hits.iter().all(|hit| hit.distance >= 0.0), "{hits:?}");
+            let expected = match above {
+                a if a >= resolution => Some([a, f64::INFINITY]),
+                a if a <= -resolution => Some([5.0 + a, -a]),
+                _ => None,
+            };
+            if let Some(expected) = expected {
+                for (hit, expected) in hits.iter().zip(expected) {
+                    let same = hit.distance == expected;
+                    assert!(
+                        same || (hit.distance - expected).abs() < 1e-13,
+                        "{i} {hit:?}"
+                    );
+                }
+            } else {
+                assert!(
+                    hits[0].distance <= resolution
+                        || (hits[0].distance - 5.0).abs() < 2.0 * resolution
+                );
+            }
+        }
+    }
+}
+
+/// To 20 roundings of 4 m, and on the triangle that is said.
+#[test]
+fn nearest_points_are_those_of_brute_force() {
+    let mesh = soup();
+    let key = Key::new(32, Purpose::SensorNoise);
+    let center = mesh.bounds().center();
+    let points: Vec<DVec3> = (0..1_000).map(|i| center + uniform(key, i, 20.0)).collect();
+    for accel in accels(&mesh) {
+        let mut nearest = vec![STALE; points.len()];
+        accel.nearest_points(|i| points[i], &mut nearest).unwrap();
+        for (place, &p) in nearest.iter().zip(&points) {
+            let truth = brute::nearest(&mesh, p).unwrap();
+            assert!((place.distance - truth.distance).abs() < 1e-11, "{p}");
+            check(&accel, place);
+        }
+    }
+}
+
+fn message<T>(result: Result<T>) -> String {
+    result.err().expect("it is refused").to_string()
+}
+
+#[test]
+fn what_is_not_a_ray_is_named_and_leaves_nothing() {
+    let mesh = soup();
+    let good = rays_at(&mesh, 700);
+    let with = |change: &dyn Fn(&mut Ray)| {
+        let mut rays = good.clone();
+        change(&mut rays[613]);
+        change(&mut rays[650]);
+        rays
+    };
+    let wrong: [(&str, Vec<Ray>); 9] = [
+        ("origin", with(&|ray| ray.origin.y = f64::NAN)),
+        ("origin", with(&|ray| ray.origin.x = f64::NEG_INFINITY)),
+        ("origin", with(&|ray| ray.origin.z = 1e13)),
+        ("direction", with(&|ray| ray.direction.z = f64::NAN)),
+        ("direction", with(&|ray| ray.direction.z = f64::INFINITY)),
+        ("direction", with(&|ray| ray.direction = DVec3::ZERO)),
+        ("direction", with(&|ray| ray.direction *= 1e-300)),
+        ("t_max", with(&|ray| ray.t_max = f64::NAN)),
+        ("t_max", with(&|ray| ray.t_max = -1.0)),
+    ];
+    for accel in accels(&mesh) {
+        for (what, rays) in &wrong {
+            let mut hits = vec![STALE; rays.len()];
+            let text = message(accel.closest_hits(|i| rays[i], &mut hits));
+            assert!(text.starts_with(&format!("ray 613: {what}")), "{text}");
+            assert!(hits.iter().all(|hit| *hit == SurfacePoint::NOTHING));
+            let mut hit = vec![true; rays.len()];
+            assert_eq!(text, message(accel.any_hits(|i| rays[i], &mut hit)));
+            assert!(hit.iter().all(|hit| !hit));
+        }
+        let mut nearest = vec![STALE; 40];
+        let point = |i: usize| DVec3::X / (31.0 - i as f64);
+        let text = message(accel.nearest_points(point, &mut nearest));
+        assert!(text.starts_with("point 31: "), "{text}");
+        assert!(nearest.iter().all(|hit| *hit == SurfacePoint::NOTHING));
+        assert!(
+            accel
+                .closest_hits(|_| panic!("there is no ray"), &mut [])
+                .is_ok()
+        );
+    }
+}
+
+#[test]
+fn what_is_not_a_mesh_is_named() {
+    let corners = [DVec3::ZERO, DVec3::X, DVec3::Y];
+    let with = |vertex: DVec3| [corners[0], corners[1], vertex];
+    let wrong = [
+        (with(DVec3::NAN), vec![[0, 1, 2]], "vertex 2 is "),
+        (with(DVec3::INFINITY), vec![[0, 1, 2]], "vertex 2 is "),
+        (with(DVec3::X * 1e13), vec![[0, 1, 2]], "vertex 2 is "),
+        (
+            corners,
+            vec![[0, 1, 2], [0, 1, 3]],
+            "triangle 1 uses vertex 3",
+        ),
+        (corners, vec![], "0 triangles"),
+    ];
+    for (vertices, triangles, expected) in wrong {
+        let text = message(Mesh::from_triangles(vertices, triangles));
+        assert!(text.starts_with(expected), "{text}");
+    }
+    // One that no triangle uses is not in the box.
+    let vertices = [DVec3::X * 1e9, DVec3::ZERO, DVec3::X, DVec3::Y];
+    let mesh = Mesh::from_triangles(vertices, [[1, 2, 3]]).unwrap();
+    assert_eq!(
+        mesh.bounds(),
+        Aabb::new(DVec3::ZERO, DVec3::new(1.0, 1.0, 0.0))
+    );
+    for accel in accels(&mesh) {
+        assert!(message(accel.with_copies([])).starts_with("0 instances"));
+    }
+    for accel in accels(&mesh) {
+        let poses = [Rigid::IDENTITY, Rigid::translation(DVec3::NAN)];
+        assert!(message(accel.with_copies(poses)).starts_with("instance 1 "));
+    }
+}
+
+/// Points, segments and slivers: no ray meets one without area, and each is nearest to
+/// something, with weights.
+#[test]
+fn triangles_without_area_are_nearest_but_not_met() {
+    let meshes: [[DVec3; 3]; 3] = [
+        [DVec3::ONE; 3],
+        [DVec3::ZERO, DVec3::X, DVec3::X * 2.0],
+        [DVec3::X * 2.0, DVec3::X * 2.0, DVec3::ZERO],
+    ];
+    for corners in meshes {
+        let mesh = Mesh::from_triangles(corners, [[0, 1, 2]]).unwrap();
+        for accel in accels(&mesh) {
+            let rays = [DVec3::Z, DVec3::X, DVec3::new(0.5, 0.2, 1.0)].map(|from| Ray {
+                origin: corners[0] + from,
+                direction: -from,
+                t_max: f64::INFINITY,
+            });
+            let hits = closest(&accel, &rays).unwrap();
+            assert!(
+                hits.iter().all(|hit| *hit == SurfacePoint::NOTHING),
+                "{hits:?}"
+            );
+            let mut nearest = [STALE];
+            let p = DVec3::new(1.25, 3.0, 4.0);
+            accel.nearest_points(|_| p, &mut nearest).unwrap();
+            let truth = brute::nearest(&mesh, p).unwrap();
+            assert_eq!(nearest[0].distance, truth.distance);
+            check(&accel, &nearest[0]);
+        }
+    }
+}
