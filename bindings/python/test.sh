@@ -1,6 +1,6 @@
 #!/bin/sh
-# Tests the Python package: a venv below target/, the package built into it with what cargo
-# has built already, tests and examples run. Skipped with a word where Python or what is
+# Tests the Python package: makes a venv below target/, builds the package as `cargo build`
+# does, runs tests and examples. Skipped with a word where Python or what is
 # needed from PyPI is missing: `pip install` needs a network once.
 set -eu
 cd "$(dirname "$0")"
@@ -27,9 +27,11 @@ if [ ! -x "$venv/bin/maturin" ]; then
     }
 fi
 
-# The program whose frames are compared.
-(cd "$root" && cargo build -q --bin lasertrace)
-# With the features of a plain `cargo build`: the simulator is not compiled once more.
-VIRTUAL_ENV=$venv "$venv/bin/maturin" develop -q --skip-install -F lasertrace/cli
-LASERTRACE=$target/debug/lasertrace PYTHONPATH=$PWD/python \
+# The program whose frames are compared, as `cargo test` has it.
+(cd "$root" && cargo test -q --no-run --test cli)
+VIRTUAL_ENV=$venv "$venv/bin/maturin" develop -q --skip-install
+export PYTHONPATH="$PWD/python"
+LASERTRACE=$target/debug/lasertrace \
     "$venv/bin/python" -X dev -W error::RuntimeWarning -m unittest discover -s tests "$@"
+"$venv/bin/python" examples/cast_rays.py 100000
+"$venv/bin/python" examples/dataset.py "$target/python-dataset" 2
