@@ -3,7 +3,7 @@
 python bench_rays.py [RAYS]
 
 Prints a table (Markdown): Mrays/s on one thread and on all; rays at vertices and middles of
-edges of a closed mesh that a library loses; and hits that are off after the mesh and its rays
+edges of a closed mesh, from outside and inside, that a library loses; and hits that are off after the mesh and its rays
 are moved by 10⁴ of its size. Laps of the libraries alternate, and the best of each counts.
 A peer that is not installed is skipped with a word. For one thread the program runs itself
 again, bound to one core.
@@ -43,6 +43,20 @@ def sphere(count):
         np.stack([np.full(columns, len(vertices) - 1), np.roll(south, -1), south], -1),
     ]
     return vertices, np.concatenate(triangles)
+
+
+def at_vertices_and_edges(vertices, triangles, eye):
+    """Rays from `eye` at each corner and middle of an edge that it sees well, to meet it at 1."""
+    corners = vertices[triangles]
+    middles = (corners + np.roll(corners, 1, axis=1)) / 2
+    targets = np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3)])
+    directions = targets - eye
+    inside = np.linalg.norm(eye) < 1
+    seen = inside | ((targets * directions).sum(axis=1) < -0.1)
+    return np.concatenate([np.tile(eye, (seen.sum(), 1)), directions[seen]], axis=1)
+
+
+INSIDE, OUTSIDE = np.array([0.1, 0.1, 0.1]), np.array([3.0, 1.0, 2.0])
 
 
 def ours(backend):
@@ -116,10 +130,10 @@ def measure(count):
     rays[:, :3] *= 3 / np.linalg.norm(rays[:, :3], axis=1, keepdims=True)
     # Half of the rays at the sphere, half past it.
     rays[:, 3:] = rng.uniform(-1, 1, (count, 3)) * 1.2 - rays[:, :3]
-    corners = vertices[triangles]
-    middles = (corners + np.roll(corners, 1, axis=1)) / 2
-    targets = np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3)])
-    from_inside = np.concatenate([np.full_like(targets, 0.1), targets - 0.1], axis=1)
+    aimed = {
+        place: at_vertices_and_edges(vertices, triangles, eye)
+        for place, eye in [("outside", OUTSIDE), ("inside", INSIDE)]
+    }
 
     casts = {name: build(vertices, triangles) for name, build in peers.items()}
     best = dict.fromkeys(casts, np.inf)
@@ -130,7 +144,11 @@ def measure(count):
             best[name] = min(best[name], time.perf_counter() - start)
     table = {}
     for name, build in peers.items():
-        distance, met = casts[name](from_inside)
+        lost, off = {}, {}
+        for place, at in aimed.items():
+            distance, met = casts[name](at)
+            lost[place] = f"{(~met).sum()} of {len(at)}"
+            off[place] = int((met & ~(np.abs(distance - 1) < 1e-6)).sum())
         # A mesh of radius 1 within 10⁴ of its diameters from the origin.
         away = np.array([2e4, 0, 0])
         cast = build(vertices + away, triangles)
@@ -144,9 +162,8 @@ def measure(count):
         wrong = (far_met != right_met) | (far_met & right_met & off)
         table[name] = {
             "speed": count / best[name] / 1e6,
-            "lost": int((~met).sum()),
-            "off": int((met & ~(np.abs(distance - 1) < 1e-6)).sum()),
-            "targets": len(targets),
+            "lost": lost,
+            "off": off,
             "wrong": float(wrong.mean()),
         }
     return table
@@ -164,12 +181,15 @@ def main():
         for bind in [lambda: os.sched_setaffinity(0, first), None]
     )
     threads = len(os.sched_getaffinity(0))
-    print(f"| | Mrays/s, 1 thread | Mrays/s, {threads} threads | lost at vertices and edges | off by 1e-6 there | wrong by 1e-6 after 10⁴ sizes |")
-    print("|---|---|---|---|---|---|")
+    print(
+        f"| | Mrays/s, 1 thread | Mrays/s, {threads} threads | lost at vertices and edges, from "
+        "outside | from inside | off by 1e-6 there | wrong by 1e-6 after 10⁴ sizes |"
+    )
+    print("|---|---|---|---|---|---|---|")
     for name, row in all_.items():
         print(
-            f"| {name} | {one[name]['speed']:.2f} | {row['speed']:.2f} | {row['lost']} of "
-            f"{row['targets']} | {row['off']} | {100 * row['wrong']:.2f} % |"
+            f"| {name} | {one[name]['speed']:.2f} | {row['speed']:.2f} | {row['lost']['outside']} | "
+            f"{row['lost']['inside']} | {sum(row['off'].values())} | {100 * row['wrong']:.2f} % |"
         )
 
 

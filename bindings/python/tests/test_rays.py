@@ -1,11 +1,16 @@
 """Rays against triangles: right answers, by the names of others too, from any memory layout."""
 
 import os
+import sys
 import threading
 import unittest
+from pathlib import Path
 
 import numpy as np
-from lasertrace import NOTHING, Error, RayCaster
+from lasertrace import NOTHING, RayCaster
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from bench_rays import INSIDE, OUTSIDE, at_vertices_and_edges, sphere
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -19,18 +24,6 @@ RAYS = np.array(
         [0.5, 0.5, 1, 0, 0, 1],
     ]
 )
-
-
-def sphere(count):
-    """A closed mesh about the origin: a grid of latitudes and longitudes."""
-    polar, around = np.meshgrid(np.linspace(0, np.pi, count), np.linspace(0, 2 * np.pi, 2 * count))
-    places = np.stack(
-        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1
-    )
-    corner = np.arange(places[..., 0].size).reshape(polar.shape)
-    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-    triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-    return places.reshape(-1, 3), triangles
 
 
 class Rays(unittest.TestCase):
@@ -124,16 +117,17 @@ class Rays(unittest.TestCase):
             again = RayCaster(vertices.astype(np.float32).astype(float), triangles.astype(kind))
             self.assertEqual(again.triangle_count, len(triangles))
 
-    def test_of_a_closed_mesh_no_ray_is_lost(self):
-        """Rays from inside at vertices and middles of edges: each meets the mesh."""
-        vertices, triangles = sphere(40)
-        corners = vertices[triangles]
-        targets = np.concatenate([corners.reshape(-1, 3), (corners + np.roll(corners, 1, 1)).reshape(-1, 3) / 2])
-        rays = np.concatenate([np.full_like(targets, 0.1), targets - 0.1], axis=1)
-        for backend in ["embree", "rust"]:
+    def test_at_vertices_and_edges_no_ray_is_lost(self):
+        """Of a closed mesh: from outside by either backend, from inside by the one in Rust.
+        From inside Embree's float32 loses some at vertices (LIMITS.md)."""
+        vertices, triangles = sphere(100)
+        for backend, eye in [("embree", OUTSIDE), ("rust", OUTSIDE), ("rust", INSIDE)]:
+            rays = at_vertices_and_edges(vertices, triangles, eye)
+            self.assertGreater(len(rays), 10000)
             hits = RayCaster(vertices, triangles, backend=backend).cast(rays)
-            # In units of the direction's length: up to what rounding moves a target.
-            self.assertLess(np.abs(hits["distance"] - 1).max(), 1e-12)
+            # In units of the direction's length, to the rounding of f64 for coordinates of 3,
+            # a surface met at more than arcsin(0.1/4), and a hundred operations.
+            self.assertLess(np.abs(hits["distance"] - 1).max(), 100 * 40 * 3 * 2**-53)
 
     def test_threads_give_the_same(self):
         vertices, triangles = sphere(30)
