@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from lasertrace import Scene, Simulation
+from lasertrace import Flag, Scene, Simulation
 from PIL import Image
 
 SCENE = Path(__file__).resolve().parents[3] / "scenes/bracket/scene.toml"
@@ -63,8 +63,8 @@ def main():
             values=json.dumps(values, default=lambda array: array.tolist()),
         )
         pictures.append(picture(frame))
-        flagged = np.count_nonzero(frame.points["flags"])
-        print(f"{k}: frame {frame.number}, {len(frame.points)} points, {flagged} flagged")
+        doubtful = np.count_nonzero(frame.points["flags"] & ~np.uint32(Flag.OUTSIDE))
+        print(f"{k}: frame {frame.number}, {len(frame.points)} points, {doubtful} doubtful")
     rows = [np.concatenate(pictures[i : i + 4], axis=1) for i in range(0, len(pictures), 4)]
     width = max(row.shape[1] for row in rows)
     rows = [np.pad(row, ((0, 8), (0, width - row.shape[1]))) for row in rows]

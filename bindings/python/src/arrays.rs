@@ -237,16 +237,15 @@ pub fn zeros<T: Element>(py: Python<'_>, count: usize) -> PyResult<Bound<'_, PyA
     Ok(array.cast_into()?)
 }
 
-/// The memory of an array that nobody else has yet.
+/// The memory of an array that [`zeros`] made and nobody else has yet.
 pub fn fresh<'a, T: Element>(array: &'a Bound<'_, PyArray1<T>>) -> &'a mut [T] {
     // SAFETY: `zeros` made it, contiguous, and it was not handed out: this is the one
     // reference to its memory, which lives as long as the array.
     unsafe { array.as_slice_mut() }.expect("a new array is contiguous")
 }
 
-/// The same, of places on the mesh.
-pub fn fresh_places<'a>(array: &'a Bound<'_, PyArray1<Place>>) -> &'a mut [SurfacePoint] {
-    let places = fresh(array);
+/// The same memory as the simulator writes it.
+pub fn places(places: &mut [Place]) -> &mut [SurfacePoint] {
     // SAFETY: `Place` is transparent over `SurfacePoint`; same memory, same length.
     unsafe { std::slice::from_raw_parts_mut(places.as_mut_ptr().cast(), places.len()) }
 }

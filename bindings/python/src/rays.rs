@@ -1,11 +1,12 @@
 //! `RayCaster`: rays and points against triangles.
 
-use crate::arrays::{self, Rows, fresh, fresh_places, shaped, triangles, zeros};
+use crate::arrays::{Rows, View, fresh, places, shaped, triangles, zeros};
 use crate::scene::go_on;
 use crate::{Error, raised, threads};
-use lasertrace::accel::{Accel, Backend, Ray};
+use lasertrace::accel::{Accel, Backend, CAST_ALONE, Ray};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::mesh::Mesh;
+use numpy::Element;
 use pyo3::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -82,59 +83,31 @@ impl RayCaster {
     /// (lasertrace.NOTHING where nothing is met). Distance and point are float64, settled in
     /// float64 also where Embree finds the triangle in float32.
     #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
-    fn cast<'py>(
-        &self,
-        py: Python<'py>,
-        rays: &Bound<'py, PyAny>,
-        t_max: f64,
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let (rays, shape) = Rows::read(rays, "rays", 6)?;
-        let rays = rays.view();
-        let array = zeros::<arrays::Place>(py, rays.len())?;
-        let hits = fresh_places(&array);
-        self.run(py, hits.len(), |stop| {
-            self.accel
-                .closest_hits(|i| ray(&rays, i, t_max, stop), hits)
-        })?;
-        shaped(array.as_any(), &shape)
+    fn cast<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(rays, "rays", 6, |rays, hits, stop| {
+            let ray = |i| ray(&rays, i, t_max, stop);
+            self.accel.closest_hits(ray, places(hits))
+        })
     }
 
     /// Whether each ray meets anything: an array of bool of shape (...). Rays as in cast.
     #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
-    fn any_hit<'py>(
-        &self,
-        py: Python<'py>,
-        rays: &Bound<'py, PyAny>,
-        t_max: f64,
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let (rays, shape) = Rows::read(rays, "rays", 6)?;
-        let rays = rays.view();
-        let array = zeros::<bool>(py, rays.len())?;
-        let hits = fresh(&array);
-        self.run(py, hits.len(), |stop| {
-            self.accel.any_hits(|i| ray(&rays, i, t_max, stop), hits)
-        })?;
-        shaped(array.as_any(), &shape)
+    fn any_hit<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(rays, "rays", 6, |rays, hits, stop| {
+            let ray = |i| ray(&rays, i, t_max, stop);
+            self.accel.any_hits(ray, hits)
+        })
     }
 
     /// The place of the mesh nearest to each point of an array (..., 3): records as of cast.
-    fn nearest<'py>(
-        &self,
-        py: Python<'py>,
-        points: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyAny>> {
-        let (points, shape) = Rows::read(points, "points", 3)?;
-        let points = points.view();
-        let array = zeros::<arrays::Place>(py, points.len())?;
-        let nearest = fresh_places(&array);
-        self.run(py, nearest.len(), |stop| {
+    fn nearest<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(points, "points", 3, |points, nearest, stop| {
             let point = |i| match stop.load(Relaxed) {
                 true => DVec3::NAN,
                 false => DVec3::from_array(points.row(i)),
             };
-            self.accel.nearest_points(point, nearest)
-        })?;
-        shaped(array.as_any(), &shape)
+            self.accel.nearest_points(point, places(nearest))
+        })
     }
 
     /// How many triangles the mesh has.
@@ -156,21 +129,29 @@ impl RayCaster {
 }
 
 impl RayCaster {
-    fn run(
+    /// An array with an answer a row of `width` numbers, in the shape of the rows.
+    fn answers<'py, T: Element>(
         &self,
-        py: Python<'_>,
-        count: usize,
-        cast: impl FnOnce(&AtomicBool) -> lasertrace::Result<()> + Send,
-    ) -> PyResult<()> {
-        let done = match count <= lasertrace::accel::CAST_ALONE {
-            true => py.detach(|| cast(&AtomicBool::new(false))),
-            false => threads::run(py, self.threads, cast)?,
+        given: &Bound<'py, PyAny>,
+        name: &str,
+        width: usize,
+        cast: impl FnOnce(View, &mut [T], &AtomicBool) -> lasertrace::Result<()> + Send,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = given.py();
+        let (rows, shape) = Rows::read(given, name, width)?;
+        let rows = rows.view();
+        let array = zeros::<T>(py, rows.len())?;
+        let out = fresh(&array);
+        let done = match rows.len() <= CAST_ALONE {
+            true => py.detach(|| cast(rows, out, &AtomicBool::new(false))),
+            false => threads::run(py, self.threads, |stop| cast(rows, out, stop))?,
         };
-        done.map_err(raised)
+        done.map_err(raised)?;
+        shaped(array.as_any(), &shape)
     }
 }
 
-fn ray(rays: &arrays::View, i: usize, t_max: f64, stop: &AtomicBool) -> Ray {
+fn ray(rays: &View, i: usize, t_max: f64, stop: &AtomicBool) -> Ray {
     if stop.load(Relaxed) {
         return NO_RAY;
     }

@@ -65,19 +65,24 @@ impl Scene {
         Ok(Scene { core, text })
     }
 
-    /// The scene in a text (TOML); files it names are sought in `folder`.
+    /// The scene in a text (TOML); files it names are sought in `folder`, without one
+    /// in the working folder.
     #[staticmethod]
-    #[pyo3(signature = (text, folder = PathBuf::new()))]
-    fn parse(py: Python<'_>, text: String, folder: PathBuf) -> PyResult<Scene> {
-        Scene::of_text(py, text, &folder)
+    #[pyo3(signature = (text, folder = None))]
+    fn parse(py: Python<'_>, text: String, folder: Option<PathBuf>) -> PyResult<Scene> {
+        Scene::of_text(py, text, &folder.unwrap_or_default())
     }
 
     /// The scene in a dict of dicts, with the keys a file has: {"seed": 1, "camera": {...}}.
     /// NumPy numbers and arrays are taken too; what is None is left out.
     #[staticmethod]
-    #[pyo3(signature = (values, folder = PathBuf::new()))]
-    fn from_dict(py: Python<'_>, values: &Bound<'_, PyDict>, folder: PathBuf) -> PyResult<Scene> {
-        Scene::of_table(py, &values::table(values)?, &folder)
+    #[pyo3(signature = (values, folder = None))]
+    fn from_dict(
+        py: Python<'_>,
+        values: &Bound<'_, PyDict>,
+        folder: Option<PathBuf>,
+    ) -> PyResult<Scene> {
+        Scene::of_table(py, &values::table(values)?, &folder.unwrap_or_default())
     }
 
     /// The same scene with other values, by dotted key: {"camera.f_number": 4}. A number

@@ -1,9 +1,13 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, TypedDict, final
+from typing import Any, Literal, TypedDict, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = [
+    "__version__", "Error", "FLAGS", "Scene", "Simulation", "Frames", "Frame", "RayCaster", "engine",
+]
 
 __version__: str
 FLAGS: dict[str, int]
@@ -17,9 +21,9 @@ class Scene:
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Scene: ...
     @staticmethod
-    def parse(text: str, folder: str | os.PathLike[str] = "") -> Scene: ...
+    def parse(text: str, folder: str | os.PathLike[str] | None = None) -> Scene: ...
     @staticmethod
-    def from_dict(values: dict[str, Any], folder: str | os.PathLike[str] = "") -> Scene: ...
+    def from_dict(values: dict[str, Any], folder: str | os.PathLike[str] | None = None) -> Scene: ...
     def with_values(self, values: dict[str, Any]) -> Scene: ...
     @property
     def text(self) -> str: ...
@@ -50,6 +54,7 @@ class Frames(Iterator[Frame]):
     def __next__(self) -> Frame: ...
     def __length_hint__(self) -> int: ...
 
+@type_check_only
 class Truth(TypedDict):
     depth: NDArray[np.float32]
     position: NDArray[np.float32]
