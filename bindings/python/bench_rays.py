@@ -158,8 +158,8 @@ def measure(count):
         right, right_met = ours("rust")(vertices + away, triangles)(moved)
         far, far_met = cast(moved)
         with np.errstate(invalid="ignore"):
-            off = np.abs(far - right) * np.linalg.norm(moved[:, 3:], axis=1) > 1e-6
-        wrong = (far_met != right_met) | (far_met & right_met & off)
+            apart = np.abs(far - right) * np.linalg.norm(moved[:, 3:], axis=1) > 1e-6
+        wrong = (far_met != right_met) | (far_met & right_met & apart)
         table[name] = {
             "speed": count / best[name] / 1e6,
             "lost": lost,
