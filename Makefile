@@ -1,5 +1,5 @@
 # make demo: scan the example part and say which pictures and report to open.
-# make test: run every test.
+# make test: run every test; those of the Python package where there is Python and PyPI.
 # make bench: run every bench, ratios in docs/benchmarks.md; make bench BASE=GIT-REF holds
 #   that commit against this checkout.
 # make verify: the long checks and those with other programs, figures in docs/verification.md;
@@ -16,6 +16,7 @@ demo: setup
 # The C library with it, in one build; its own tests compile C programs.
 test: setup
 	cargo test -p lasertrace -p lasertrace-c
+	bindings/python/test.sh
 
 bench: setup
 	benches/run.sh $(BASE)

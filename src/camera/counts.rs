@@ -55,6 +55,11 @@ impl Counts {
         &self.by_column
     }
 
+    /// The same, without a copy.
+    pub fn into_by_column(self) -> Vec<u16> {
+        self.by_column
+    }
+
     /// See [`Self::by_column`].
     pub fn by_column_mut(&mut self) -> &mut [u16] {
         &mut self.by_column

@@ -1,0 +1,197 @@
+"""Ray casting beside the peers a user would take, on the same rays in one run.
+
+python bench_rays.py [RAYS]
+
+Prints a table (Markdown): Mrays/s on one thread and on all; rays at vertices and middles of
+edges of a closed mesh, from outside and inside, that a library loses; and hits that are off after the mesh and its rays
+are moved by 10⁴ of its size. Laps of the libraries alternate, and the best of each counts.
+A peer that is not installed is skipped with a word. For one thread the program runs itself
+again, bound to one core.
+"""
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+LAPS = 5
+
+
+def sphere(count):
+    """A closed mesh of radius 1 about the origin, and what is at its corners and edges."""
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, count), np.linspace(0, 2 * np.pi, 2 * count, endpoint=False), indexing="ij"
+    )
+    ring = np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1
+    )
+    places = ring[1:-1].reshape(-1, 3)
+    vertices = np.concatenate([[[0.0, 0, 1]], places, [[0.0, 0, -1]]])
+    columns = 2 * count
+    corner = 1 + np.arange((count - 2) * columns).reshape(count - 2, columns)
+    a, b = corner[:-1], corner[1:]
+    c, d = np.roll(b, -1, 1), np.roll(a, -1, 1)
+    north, south = corner[0], corner[-1]
+    triangles = [
+        np.stack([a, b, c], -1).reshape(-1, 3),
+        np.stack([a, c, d], -1).reshape(-1, 3),
+        np.stack([np.zeros(columns, int), north, np.roll(north, -1)], -1),
+        np.stack([np.full(columns, len(vertices) - 1), np.roll(south, -1), south], -1),
+    ]
+    return vertices, np.concatenate(triangles)
+
+
+def at_vertices_and_edges(vertices, triangles, eye):
+    """Rays from `eye` at each corner and middle of an edge that it sees well, to meet it at 1."""
+    corners = vertices[triangles]
+    middles = (corners + np.roll(corners, 1, axis=1)) / 2
+    targets = np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3)])
+    directions = targets - eye
+    inside = np.linalg.norm(eye) < 1
+    seen = inside | ((targets * directions).sum(axis=1) < -0.1)
+    return np.concatenate([np.tile(eye, (seen.sum(), 1)), directions[seen]], axis=1)
+
+
+INSIDE, OUTSIDE = np.array([0.1, 0.1, 0.1]), np.array([3.0, 1.0, 2.0])
+
+
+def ours(backend):
+    import lasertrace
+
+    def build(vertices, triangles):
+        caster = lasertrace.RayCaster(vertices, triangles, backend=backend)
+
+        def cast(rays):
+            hits = caster.cast(rays)
+            return hits["distance"], hits["triangle"] != lasertrace.NOTHING
+
+        return cast
+
+    return build
+
+
+def open3d(vertices, triangles):
+    import open3d
+
+    scene = open3d.t.geometry.RaycastingScene()
+    mesh = open3d.core.Tensor(vertices.astype(np.float32)), open3d.core.Tensor(triangles.astype(np.uint32))
+    scene.add_triangles(*mesh)
+
+    def cast(rays):
+        hits = scene.cast_rays(open3d.core.Tensor(rays.astype(np.float32)))
+        distance = hits["t_hit"].numpy()
+        return distance, np.isfinite(distance)
+
+    return cast
+
+
+def trimesh(vertices, triangles):
+    import trimesh
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    intersector = RayMeshIntersector(mesh)
+
+    def cast(rays):
+        places, ray, _ = intersector.intersects_location(
+            rays[:, :3], rays[:, 3:], multiple_hits=False
+        )
+        distance = np.full(len(rays), np.inf)
+        length = np.linalg.norm(rays[ray, 3:], axis=1)
+        distance[ray] = np.linalg.norm(places - rays[ray, :3], axis=1) / length
+        return distance, np.isfinite(distance)
+
+    return cast
+
+
+PEERS = {
+    "lasertrace, Embree": (ours("embree"), "lasertrace"),
+    "lasertrace, Rust": (ours("rust"), "lasertrace"),
+    "Open3D RaycastingScene": (open3d, "open3d"),
+    "trimesh + embreex": (trimesh, "embreex"),
+}
+
+
+def measure(count):
+    peers = {}
+    for name, (build, module) in PEERS.items():
+        try:
+            importlib.import_module(module)
+            peers[name] = build
+        except ImportError:
+            print(f"SKIPPED: {name}: {module} is not installed", file=sys.stderr)
+    vertices, triangles = sphere(300)
+    rng = np.random.default_rng(1)
+    rays = np.concatenate([rng.normal(size=(count, 3)), np.zeros((count, 3))], axis=1)
+    rays[:, :3] *= 3 / np.linalg.norm(rays[:, :3], axis=1, keepdims=True)
+    # Half of the rays at the sphere, half past it.
+    rays[:, 3:] = rng.uniform(-1, 1, (count, 3)) * 1.2 - rays[:, :3]
+    aimed = {
+        place: at_vertices_and_edges(vertices, triangles, eye)
+        for place, eye in [("outside", OUTSIDE), ("inside", INSIDE)]
+    }
+
+    casts = {name: build(vertices, triangles) for name, build in peers.items()}
+    best = dict.fromkeys(casts, np.inf)
+    for _ in range(LAPS):
+        for name, cast in casts.items():
+            start = time.perf_counter()
+            cast(rays)
+            best[name] = min(best[name], time.perf_counter() - start)
+    table = {}
+    for name, build in peers.items():
+        lost, off = {}, {}
+        for place, at in aimed.items():
+            distance, met = casts[name](at)
+            lost[place] = f"{(~met).sum()} of {len(at)}"
+            off[place] = int((met & ~(np.abs(distance - 1) < 1e-6)).sum())
+        # A mesh of radius 1 within 10⁴ of its diameters from the origin.
+        away = np.array([2e4, 0, 0])
+        cast = build(vertices + away, triangles)
+        moved = rays.copy()
+        moved[:, :3] += away
+        # What is right: our own tree in float64, on the moved numbers.
+        right, right_met = ours("rust")(vertices + away, triangles)(moved)
+        far, far_met = cast(moved)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(far - right) * np.linalg.norm(moved[:, 3:], axis=1) > 1e-6
+        wrong = (far_met != right_met) | (far_met & right_met & apart)
+        table[name] = {
+            "speed": count / best[name] / 1e6,
+            "lost": lost,
+            "off": off,
+            "wrong": float(wrong.mean()),
+        }
+    return table
+
+
+def main():
+    if sys.argv[1:2] == ["--table"]:
+        print(json.dumps(measure(int(sys.argv[2]))))
+        return
+    count = sys.argv[1] if len(sys.argv) > 1 else "1000000"
+    first = [min(os.sched_getaffinity(0))]
+    command = [sys.executable, __file__, "--table", count]
+    one, all_ = (
+        json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True, preexec_fn=bind).stdout)
+        for bind in [lambda: os.sched_setaffinity(0, first), None]
+    )
+    threads = len(os.sched_getaffinity(0))
+    print(
+        f"| | Mrays/s, 1 thread | Mrays/s, {threads} threads | lost at vertices and edges, from "
+        "outside | from inside | off by 1e-6 there | wrong by 1e-6 after 10⁴ sizes |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name, row in all_.items():
+        print(
+            f"| {name} | {one[name]['speed']:.2f} | {row['speed']:.2f} | {row['lost']['outside']} | "
+            f"{row['lost']['inside']} | {sum(row['off'].values())} | {100 * row['wrong']:.2f} % |"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, TypedDict, final, type_check_only
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "__version__", "Error", "FLAGS", "Scene", "Simulation", "Frames", "Frame", "RayCaster", "engine",
+]
+
+__version__: str
+FLAGS: dict[str, int]
+
+class Error(ValueError): ...
+
+def engine(backend: Literal["embree", "rust"] = "embree") -> str: ...
+
+@final
+class Scene:
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Scene: ...
+    @staticmethod
+    def parse(text: str, folder: str | os.PathLike[str] | None = None) -> Scene: ...
+    @staticmethod
+    def from_dict(values: dict[str, Any], folder: str | os.PathLike[str] | None = None) -> Scene: ...
+    def with_values(self, values: dict[str, Any]) -> Scene: ...
+    @property
+    def text(self) -> str: ...
+    @property
+    def frames(self) -> int: ...
+    @property
+    def resolution(self) -> tuple[int, int]: ...
+
+@final
+class Simulation:
+    def __new__(cls, scene: Scene, *, threads: int | None = None) -> Simulation: ...
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def plan(self) -> list[tuple[str, str, str]]: ...
+    def frame(self, number: int) -> Frame: ...
+    def frames(
+        self,
+        numbers: range | Sequence[int] | NDArray[np.integer] | None = None,
+        *,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> Frames: ...
+    def __len__(self) -> int: ...
+
+@final
+class Frames(Iterator[Frame]):
+    def __iter__(self) -> Frames: ...
+    def __next__(self) -> Frame: ...
+    def __length_hint__(self) -> int: ...
+
+@type_check_only
+class Truth(TypedDict):
+    depth: NDArray[np.float32]
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    triangle: NDArray[np.uint32]
+    copy: NDArray[np.uint32]
+
+@final
+class Frame:
+    number: int
+    image: NDArray[np.uint16] | None
+    points: NDArray[np.void]
+    @property
+    def truth(self) -> Truth: ...
+    @property
+    def depth(self) -> NDArray[np.float32]: ...
+    @property
+    def part_from_camera(self) -> NDArray[np.float64]: ...
+    @property
+    def part_from_laser(self) -> NDArray[np.float64]: ...
+
+class RayCaster:
+    def __new__(
+        cls,
+        vertices: NDArray[np.floating],
+        triangles: NDArray[np.integer],
+        *,
+        instances: NDArray[np.floating] | None = None,
+        backend: Literal["embree", "rust"] = "embree",
+        threads: int | None = None,
+    ) -> RayCaster: ...
+    def cast(
+        self, rays: NDArray[np.floating], *, t_max: float = ...
+    ) -> NDArray[np.void]: ...
+    def any_hit(
+        self, rays: NDArray[np.floating], *, t_max: float = ...
+    ) -> NDArray[np.bool_]: ...
+    def nearest(self, points: NDArray[np.floating]) -> NDArray[np.void]: ...
+    @property
+    def triangle_count(self) -> int: ...
+    @property
+    def instance_count(self) -> int: ...

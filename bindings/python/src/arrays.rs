@@ -1,0 +1,256 @@
+//! NumPy arrays: numbers read where they lie, records handed out.
+
+use crate::Error;
+use lasertrace::accel::SurfacePoint;
+use numpy::ndarray::ArrayView2;
+use numpy::{
+    Element, PyArray1, PyArrayDescr, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray2,
+    PyUntypedArray, PyUntypedArrayMethods,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use std::mem::offset_of;
+
+/// Rows of numbers, float32 or float64, not copied where NumPy can show them as rows.
+pub enum Rows<'py> {
+    Single(PyReadonlyArray2<'py, f32>),
+    Double(PyReadonlyArray2<'py, f64>),
+}
+
+impl<'py> Rows<'py> {
+    /// An array of shape (..., `width`) and its shape without the last axis.
+    pub fn read(
+        given: &Bound<'py, PyAny>,
+        name: &str,
+        width: usize,
+    ) -> PyResult<(Rows<'py>, Vec<usize>)> {
+        let (rows, shape) = rows(given, name, width, "float32 or float64")?;
+        if let Ok(array) = rows.extract() {
+            return Ok((Rows::Double(array), shape));
+        }
+        let array = rows
+            .extract()
+            .map_err(|_| unlike(given, name, width, "float32 or float64"));
+        Ok((Rows::Single(array?), shape))
+    }
+
+    pub fn view(&self) -> View<'_> {
+        match self {
+            Rows::Single(array) => View::Single(array.as_array()),
+            Rows::Double(array) => View::Double(array.as_array()),
+        }
+    }
+}
+
+/// The same without Python.
+#[derive(Clone, Copy)]
+pub enum View<'a> {
+    Single(ArrayView2<'a, f32>),
+    Double(ArrayView2<'a, f64>),
+}
+
+impl View<'_> {
+    pub fn len(&self) -> usize {
+        match self {
+            View::Single(rows) => rows.nrows(),
+            View::Double(rows) => rows.nrows(),
+        }
+    }
+
+    /// N numbers of a row.
+    pub fn row<const N: usize>(&self, i: usize) -> [f64; N] {
+        match self {
+            View::Single(rows) => std::array::from_fn(|k| rows[[i, k]].into()),
+            View::Double(rows) => std::array::from_fn(|k| rows[[i, k]]),
+        }
+    }
+}
+
+/// Triangles: rows of three whole numbers of any type.
+pub fn triangles(given: &Bound<'_, PyAny>) -> PyResult<Vec<[u32; 3]>> {
+    const KINDS: &str = "whole numbers (int32, int64, uint32 or uint64)";
+    let (rows, _) = rows(given, "triangles", 3, KINDS)?;
+    macro_rules! of_type {
+        ($($number:ty),*) => {$(
+            if let Ok(array) = rows.extract::<PyReadonlyArray2<$number>>() {
+                return array.as_array().rows().into_iter().enumerate().map(|(i, row)| {
+                    let mut triangle = [0; 3];
+                    for (to, &from) in triangle.iter_mut().zip(row) {
+                        *to = u32::try_from(from).map_err(|_| Error::new_err(format!(
+                            "triangle {i} uses vertex {from}, expected a number from 0"
+                        )))?;
+                    }
+                    Ok(triangle)
+                }).collect();
+            }
+        )*};
+    }
+    of_type!(i64, i32, u32, u64);
+    Err(unlike(given, "triangles", 3, KINDS))
+}
+
+/// An array of shape (..., `width`) as one of two axes, copied only where its memory does not
+/// allow that, and its shape without the last axis.
+fn rows<'py>(
+    given: &Bound<'py, PyAny>,
+    name: &str,
+    width: usize,
+    kinds: &str,
+) -> PyResult<(Bound<'py, PyAny>, Vec<usize>)> {
+    let wrong = || unlike(given, name, width, kinds);
+    let array = given.cast::<PyUntypedArray>().map_err(|_| wrong())?;
+    let Some((&last, shape)) = array.shape().split_last() else {
+        return Err(wrong());
+    };
+    if last != width {
+        return Err(wrong());
+    }
+    let rows = array.call_method1("reshape", ((shape.iter().product::<usize>(), width),))?;
+    // Numbers within packed records may lie across the words of memory.
+    let whole = {
+        let rows = rows.cast::<PyUntypedArray>().map_err(|_| wrong())?;
+        let size = rows.dtype().itemsize().max(1) as isize;
+        let aligned = rows.getattr("flags")?.getattr("aligned")?.is_truthy()?;
+        aligned && rows.strides().iter().all(|stride| stride % size == 0)
+    };
+    match whole {
+        true => Ok((rows, shape.to_vec())),
+        false => Ok((rows.call_method0("copy")?, shape.to_vec())),
+    }
+}
+
+fn unlike(given: &Bound<'_, PyAny>, name: &str, width: usize, kinds: &str) -> PyErr {
+    let found = match given.cast::<PyUntypedArray>() {
+        Ok(array) => format!(
+            "an array of {} and shape {:?}",
+            array.dtype(),
+            array.shape()
+        ),
+        Err(_) => format!("a {}", given.get_type()),
+    };
+    Error::new_err(format!(
+        "{name}: found {found}, expected a NumPy array of {kinds} and shape (..., {width}); \
+         numpy.asarray and .astype make one"
+    ))
+}
+
+/// One measured point, as NumPy's records have it.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct Point {
+    pub position: [f64; 3],
+    pub sigma: f64,
+    pub deviation: f64,
+    pub deviation_sigma: f64,
+    pub intensity: f64,
+    pub row: f64,
+    pub normal: [f32; 3],
+    pub column: u32,
+    pub frame: u32,
+    pub flags: u32,
+}
+
+// SAFETY: the record names every field of `Point` with its place and size, and there is no
+// padding between them; it holds no Python object.
+unsafe impl Element for Point {
+    const IS_COPY: bool = true;
+
+    fn get_dtype(py: Python<'_>) -> Bound<'_, PyArrayDescr> {
+        let fields = [
+            ("position", "3f8", offset_of!(Point, position)),
+            ("sigma", "f8", offset_of!(Point, sigma)),
+            ("deviation", "f8", offset_of!(Point, deviation)),
+            ("deviation_sigma", "f8", offset_of!(Point, deviation_sigma)),
+            ("intensity", "f8", offset_of!(Point, intensity)),
+            ("row", "f8", offset_of!(Point, row)),
+            ("normal", "3f4", offset_of!(Point, normal)),
+            ("column", "u4", offset_of!(Point, column)),
+            ("frame", "u4", offset_of!(Point, frame)),
+            ("flags", "u4", offset_of!(Point, flags)),
+        ];
+        record::<Point>(py, &fields)
+    }
+
+    fn clone_ref(&self, _: Python<'_>) -> Self {
+        *self
+    }
+}
+
+/// A place on the mesh, as NumPy's records have it.
+#[repr(transparent)]
+#[derive(Clone, Copy)]
+pub struct Place(SurfacePoint);
+
+// SAFETY: as of `Point`; `Place` lies in memory as `SurfacePoint` does, which is laid out as
+// in C, without padding.
+unsafe impl Element for Place {
+    const IS_COPY: bool = true;
+
+    fn get_dtype(py: Python<'_>) -> Bound<'_, PyArrayDescr> {
+        let fields = [
+            ("distance", "f8", offset_of!(SurfacePoint, distance)),
+            ("point", "3f8", offset_of!(SurfacePoint, point)),
+            ("barycentric", "2f8", offset_of!(SurfacePoint, barycentric)),
+            ("triangle", "u4", offset_of!(SurfacePoint, triangle)),
+            ("instance", "u4", offset_of!(SurfacePoint, instance)),
+        ];
+        record::<Place>(py, &fields)
+    }
+
+    fn clone_ref(&self, _: Python<'_>) -> Self {
+        *self
+    }
+}
+
+fn record<'py, T>(py: Python<'py>, fields: &[(&str, &str, usize)]) -> Bound<'py, PyArrayDescr> {
+    let made = || {
+        let dict = PyDict::new(py);
+        let [mut names, mut formats, mut offsets] = [const { Vec::new() }; 3];
+        for &(name, format, offset) in fields {
+            names.push(name.into_pyobject(py)?.into_any());
+            formats.push(format.into_pyobject(py)?.into_any());
+            offsets.push(offset.into_pyobject(py)?.into_any());
+        }
+        dict.set_item("names", names)?;
+        dict.set_item("formats", formats)?;
+        dict.set_item("offsets", offsets)?;
+        dict.set_item("itemsize", size_of::<T>())?;
+        PyArrayDescr::new(py, dict)
+    };
+    made().expect("the fields are those of a record")
+}
+
+/// A new array of so many zeros, whose memory is first touched by whom fills it. Errors: too
+/// little memory.
+pub fn zeros<T: Element>(py: Python<'_>, count: usize) -> PyResult<Bound<'_, PyArray1<T>>> {
+    use lasertrace::mesh::memory;
+    let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
+    memory::require(
+        format!("an array of {count} answers"),
+        bytes,
+        memory::available(),
+    )
+    .map_err(crate::raised)?;
+    let array = py
+        .import("numpy")?
+        .call_method1("zeros", (count, T::get_dtype(py)))?;
+    Ok(array.cast_into()?)
+}
+
+/// The memory of an array that [`zeros`] made and nobody else has yet.
+pub fn fresh<'a, T: Element>(array: &'a Bound<'_, PyArray1<T>>) -> &'a mut [T] {
+    // SAFETY: `zeros` made it, contiguous, and it was not handed out: this is the one
+    // reference to its memory, which lives as long as the array.
+    unsafe { array.as_slice_mut() }.expect("a new array is contiguous")
+}
+
+/// The same memory as the simulator writes it.
+pub fn places(places: &mut [Place]) -> &mut [SurfacePoint] {
+    // SAFETY: `Place` is transparent over `SurfacePoint`; same memory, same length.
+    unsafe { std::slice::from_raw_parts_mut(places.as_mut_ptr().cast(), places.len()) }
+}
+
+/// One answer a ray in the shape that the rays have.
+pub fn shaped<'py>(array: &Bound<'py, PyAny>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    array.call_method1("reshape", (PyTuple::new(array.py(), shape)?,))
+}

@@ -1,0 +1,37 @@
+//! The native part of the Python package `lasertrace`: thin, over the simulator.
+//! What Python users read stands in the doc comments of the classes and, with types, in
+//! python/lasertrace/_core.pyi.
+
+mod arrays;
+mod rays;
+mod scene;
+mod simulation;
+mod threads;
+mod values;
+
+use pyo3::prelude::*;
+
+pyo3::create_exception!(
+    lasertrace,
+    Error,
+    pyo3::exceptions::PyValueError,
+    "What cannot be done: the message says what was found, what was expected and what to do."
+);
+
+/// A mistake of the simulator's as one of Python's.
+fn raised(error: lasertrace::Error) -> PyErr {
+    Error::new_err(error.to_string())
+}
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("Error", module.py().get_type::<Error>())?;
+    module.add("FLAGS", simulation::flags())?;
+    module.add_class::<scene::Scene>()?;
+    module.add_class::<simulation::Simulation>()?;
+    module.add_class::<simulation::Frames>()?;
+    module.add_class::<simulation::Frame>()?;
+    module.add_class::<rays::RayCaster>()?;
+    module.add_function(wrap_pyfunction!(rays::engine, module)?)
+}

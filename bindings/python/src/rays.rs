@@ -1,0 +1,188 @@
+//! `RayCaster`: rays and points against triangles.
+
+use crate::arrays::{Rows, View, fresh, places, shaped, triangles, zeros};
+use crate::scene::go_on;
+use crate::{Error, raised, threads};
+use lasertrace::accel::{Accel, Backend, CAST_ALONE, Ray};
+use lasertrace::math::{DVec3, Rigid};
+use lasertrace::mesh::Mesh;
+use numpy::Element;
+use pyo3::prelude::*;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+/// Name and version of what finds the triangles that rays meet: "embree" or "rust".
+#[pyfunction]
+#[pyo3(signature = (backend = "embree"))]
+pub fn engine(backend: &str) -> PyResult<String> {
+    Ok(self::backend(backend)?.version())
+}
+
+fn backend(name: &str) -> PyResult<Backend> {
+    match name {
+        "embree" => Ok(Backend::Embree),
+        "rust" => Ok(Backend::Rust),
+        _ => Err(Error::new_err(format!(
+            "backend: found {name:?}, expected \"embree\" or \"rust\""
+        ))),
+    }
+}
+
+/// Triangles that rays are cast at; see lasertrace.RayCaster.
+#[pyclass(frozen, subclass, module = "lasertrace")]
+pub struct RayCaster {
+    accel: Accel,
+    threads: usize,
+}
+
+/// What a ray becomes once Ctrl-C was pressed: no ray, so that the cast ends with an error,
+/// which nobody sees.
+const NO_RAY: Ray = Ray {
+    origin: DVec3::NAN,
+    direction: DVec3::NAN,
+    t_max: 0.0,
+};
+
+#[pymethods]
+impl RayCaster {
+    #[new]
+    #[pyo3(signature = (vertices, triangles, *, instances = None, backend = "embree", threads = None))]
+    fn new(
+        py: Python<'_>,
+        vertices: &Bound<'_, PyAny>,
+        triangles: &Bound<'_, PyAny>,
+        instances: Option<&Bound<'_, PyAny>>,
+        backend: &str,
+        threads: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<RayCaster> {
+        let backend = self::backend(backend)?;
+        let threads = threads::wanted(threads)?;
+        let (vertices, _) = Rows::read(vertices, "vertices", 3)?;
+        let triangles = self::triangles(triangles)?;
+        let poses = instances.map(self::poses).transpose()?;
+        let vertices = vertices.view();
+        let built = threads::run(py, threads, |stop| {
+            let places = (0..vertices.len()).map(|i| DVec3::from_array(vertices.row(i)));
+            let mesh = Arc::new(Mesh::from_triangles(places, triangles)?);
+            let accel = Accel::build_with(backend, &mesh, threads, &|_| go_on(stop))?;
+            match poses {
+                None => Ok(accel),
+                Some(poses) => accel.with_copies(poses),
+            }
+        });
+        let accel = built?.map_err(raised)?;
+        Ok(RayCaster { accel, threads })
+    }
+
+    /// What each ray meets first.
+    ///
+    /// `rays` is an array (..., 6), float32 or float64: origin and direction. The direction
+    /// may have any length; distances and `t_max`, where rays end, are in units of it.
+    /// Returns a structured array of shape (...), one record a ray: `distance` (inf where
+    /// nothing is met), `point` (x, y, z), `barycentric` (u, v), `triangle` and `instance`
+    /// (lasertrace.NOTHING where nothing is met). Distance and point are float64, settled in
+    /// float64 also where Embree finds the triangle in float32.
+    #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
+    fn cast<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(rays, "rays", 6, |rays, hits, stop| {
+            let ray = |i| ray(&rays, i, t_max, stop);
+            self.accel.closest_hits(ray, places(hits))
+        })
+    }
+
+    /// Whether each ray meets anything: an array of bool of shape (...). Rays as in cast.
+    #[pyo3(signature = (rays, *, t_max = f64::INFINITY))]
+    fn any_hit<'py>(&self, rays: &Bound<'py, PyAny>, t_max: f64) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(rays, "rays", 6, |rays, hits, stop| {
+            let ray = |i| ray(&rays, i, t_max, stop);
+            self.accel.any_hits(ray, hits)
+        })
+    }
+
+    /// The place of the mesh nearest to each point of an array (..., 3): records as of cast.
+    fn nearest<'py>(&self, points: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        self.answers(points, "points", 3, |points, nearest, stop| {
+            let point = |i| match stop.load(Relaxed) {
+                true => DVec3::NAN,
+                false => DVec3::from_array(points.row(i)),
+            };
+            self.accel.nearest_points(point, places(nearest))
+        })
+    }
+
+    /// How many triangles the mesh has.
+    #[getter]
+    fn triangle_count(&self) -> usize {
+        self.accel.mesh().triangles.len()
+    }
+
+    /// How many instances of it there are.
+    #[getter]
+    fn instance_count(&self) -> usize {
+        self.accel.poses().len()
+    }
+
+    fn __repr__(&self) -> String {
+        let (triangles, instances) = (self.triangle_count(), self.instance_count());
+        format!("<lasertrace.RayCaster: {triangles} triangles, {instances} instances>")
+    }
+}
+
+impl RayCaster {
+    /// An array with an answer a row of `width` numbers, in the shape of the rows.
+    fn answers<'py, T: Element>(
+        &self,
+        given: &Bound<'py, PyAny>,
+        name: &str,
+        width: usize,
+        cast: impl FnOnce(View, &mut [T], &AtomicBool) -> lasertrace::Result<()> + Send,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let py = given.py();
+        let (rows, shape) = Rows::read(given, name, width)?;
+        let rows = rows.view();
+        let array = zeros::<T>(py, rows.len())?;
+        let out = fresh(&array);
+        let done = match rows.len() <= CAST_ALONE {
+            true => py.detach(|| cast(rows, out, &AtomicBool::new(false))),
+            false => threads::run(py, self.threads, |stop| cast(rows, out, stop))?,
+        };
+        done.map_err(raised)?;
+        shaped(array.as_any(), &shape)
+    }
+}
+
+fn ray(rays: &View, i: usize, t_max: f64, stop: &AtomicBool) -> Ray {
+    if stop.load(Relaxed) {
+        return NO_RAY;
+    }
+    let [ox, oy, oz, dx, dy, dz] = rays.row(i);
+    Ray {
+        origin: DVec3::new(ox, oy, oz),
+        direction: DVec3::new(dx, dy, dz),
+        t_max,
+    }
+}
+
+/// Poses as an array (n, 4, 4) has them.
+fn poses(given: &Bound<'_, PyAny>) -> PyResult<Vec<Rigid>> {
+    let (rows, shape) = Rows::read(given, "instances", 4)?;
+    let rows = rows.view();
+    if shape.len() != 2 || shape[1] != 4 {
+        let message = "expected an array of shape (n, 4, 4), one matrix an instance";
+        return Err(Error::new_err(format!(
+            "instances: found {shape:?} rows of 4, {message}"
+        )));
+    }
+    let pose = |i: usize| {
+        let below = rows.row::<4>(4 * i + 3);
+        match below == [0.0, 0.0, 0.0, 1.0] {
+            true => Rigid::from_rows(std::array::from_fn(|k| rows.row(4 * i + k))),
+            false => Err(format!(
+                "found {below:?} as last row, expected [0, 0, 0, 1]"
+            )),
+        }
+    };
+    let poses = (0..shape[0])
+        .map(|i| pose(i).map_err(|message| Error::new_err(format!("instance {i}: {message}"))));
+    poses.collect()
+}

@@ -1,0 +1,125 @@
+//! `Scene`: from a file, text or dict; values changed by key.
+
+use crate::{Error, raised, threads, values};
+use lasertrace::Error as CoreError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+/// What is simulated: part, laser, camera, path. It never changes.
+///
+/// >>> scene = Scene.load("scenes/bracket/scene.toml")
+/// >>> scene.frames, scene.resolution
+/// (219, (1280, 512))
+/// >>> open_lens = scene.with_values({"camera.f_number": 4, "speckle": False})
+///
+/// The manual (docs/manual.md) names all keys. A mistake is a lasertrace.Error that says
+/// which key is wrong, what was found and what was expected.
+#[pyclass(frozen, module = "lasertrace")]
+pub struct Scene {
+    pub core: lasertrace::Scene,
+    text: String,
+}
+
+type Watched<'a> = &'a (dyn Fn(f64) -> lasertrace::Result<()> + Sync);
+
+/// Reads a scene while Ctrl-C is heard.
+fn read(
+    py: Python<'_>,
+    how: impl FnOnce(Watched) -> lasertrace::Result<lasertrace::Scene> + Send,
+) -> PyResult<lasertrace::Scene> {
+    let threads = threads::wanted(None)?;
+    threads::run(py, threads, |stop| how(&|_| go_on(stop)))?.map_err(raised)
+}
+
+/// The end of what is watched, once Ctrl-C was pressed.
+pub fn go_on(stop: &AtomicBool) -> lasertrace::Result<()> {
+    match stop.load(Relaxed) {
+        true => Err(CoreError::Interrupted),
+        false => Ok(()),
+    }
+}
+
+impl Scene {
+    fn of_text(py: Python<'_>, text: String, folder: &Path) -> PyResult<Scene> {
+        let core = read(py, |_| lasertrace::Scene::parse(&text, folder))?;
+        Ok(Scene { core, text })
+    }
+
+    fn of_table(py: Python<'_>, table: &toml::Table, folder: &Path) -> PyResult<Scene> {
+        let text = toml::to_string(table);
+        let text = text.map_err(|error| Error::new_err(format!("not a scene: {error}")))?;
+        Scene::of_text(py, text, folder)
+    }
+}
+
+#[pymethods]
+impl Scene {
+    /// The scene in a file (TOML); files it names are sought beside it.
+    #[staticmethod]
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
+        let core = read(py, |watch| lasertrace::Scene::load_watched(&path, watch))?;
+        let text = std::fs::read_to_string(&path)
+            .map_err(|error| raised(CoreError::io("read", &path)(error)))?;
+        Ok(Scene { core, text })
+    }
+
+    /// The scene in a text (TOML); files it names are sought in `folder`, without one
+    /// in the working folder.
+    #[staticmethod]
+    #[pyo3(signature = (text, folder = None))]
+    fn parse(py: Python<'_>, text: String, folder: Option<PathBuf>) -> PyResult<Scene> {
+        Scene::of_text(py, text, &folder.unwrap_or_default())
+    }
+
+    /// The scene in a dict of dicts, with the keys a file has: {"seed": 1, "camera": {...}}.
+    /// NumPy numbers and arrays are taken too; what is None is left out.
+    #[staticmethod]
+    #[pyo3(signature = (values, folder = None))]
+    fn from_dict(
+        py: Python<'_>,
+        values: &Bound<'_, PyDict>,
+        folder: Option<PathBuf>,
+    ) -> PyResult<Scene> {
+        Scene::of_table(py, &values::table(values)?, &folder.unwrap_or_default())
+    }
+
+    /// The same scene with other values, by dotted key: {"camera.f_number": 4}. A number
+    /// stands for a place in a list ("camera.position_mm.2"), None takes a key out, and a
+    /// dict is a whole table.
+    fn with_values(&self, py: Python<'_>, values: &Bound<'_, PyDict>) -> PyResult<Scene> {
+        let table = self.text.parse::<toml::Table>();
+        let table = table.map_err(|error| Error::new_err(format!("not TOML: {error}")))?;
+        let folder = self.core.path.parent().unwrap_or(Path::new(""));
+        Scene::of_table(py, &values::change(table, values)?, folder)
+    }
+
+    /// The scene as text (TOML).
+    #[getter]
+    fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// How many frames the scan has.
+    #[getter]
+    fn frames(&self) -> u32 {
+        self.core.scan.frames
+    }
+
+    /// (columns, rows) of the camera's images.
+    #[getter]
+    fn resolution(&self) -> (u32, u32) {
+        self.core.camera.sensor.resolution.into()
+    }
+
+    fn __repr__(&self) -> String {
+        let (columns, rows) = self.resolution();
+        format!(
+            "<lasertrace.Scene {}: {}, {} frames of {columns} × {rows} pixels>",
+            self.core.path.display(),
+            self.core.part,
+            self.frames()
+        )
+    }
+}

@@ -1,0 +1,389 @@
+//! `Simulation`, its frames, and what a frame holds.
+
+use crate::arrays::Point;
+use crate::scene::Scene;
+use crate::{Error, raised, threads};
+use lasertrace::Simulation as Core;
+use lasertrace::camera::Counts;
+use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::math::Rigid;
+use lasertrace::profile::{Flags, Peak};
+use numpy::{Element, PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyDict, PyRange, PyRangeMethods};
+use rayon::prelude::*;
+use std::collections::{HashMap, VecDeque};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The flags of points by name.
+pub fn flags() -> HashMap<&'static str, u16> {
+    let named = Flags::all().iter_names();
+    named.map(|(name, flag)| (name, flag.bits())).collect()
+}
+
+/// A scene made ready to take frames: hierarchy built, plan made, speckle computed.
+///
+/// >>> simulation = Simulation(Scene.load("scenes/bracket/scene.toml"))
+/// >>> frame = simulation.frame(90)
+/// >>> frame.image.shape, frame.image.dtype
+/// ((512, 1280), dtype('uint16'))
+/// >>> for frame in simulation.frames(range(80, 90)):
+/// ...     print(frame.number, len(frame.points))
+///
+/// Each frame depends on its number alone: order and threads change no byte. Python's threads
+/// may share a simulation. `threads` limits how many of its own it works on; None: all that
+/// the machine grants.
+#[pyclass(frozen, module = "lasertrace")]
+pub struct Simulation {
+    core: Arc<Core>,
+    scene: Py<Scene>,
+    threads: usize,
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(signature = (scene, *, threads = None))]
+    fn new(
+        py: Python<'_>,
+        scene: Py<Scene>,
+        threads: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Simulation> {
+        let threads = threads::wanted(threads)?;
+        let core = &scene.get().core;
+        let made = threads::run(py, threads, |_| Core::new(core))?;
+        Ok(Simulation {
+            core: Arc::new(made.map_err(raised)?),
+            scene,
+            threads,
+        })
+    }
+
+    /// What is simulated.
+    #[getter]
+    fn scene(&self, py: Python<'_>) -> Py<Scene> {
+        self.scene.clone_ref(py)
+    }
+
+    /// Which effects are modelled, how and why: a list of (effect, method, reason).
+    #[getter]
+    fn plan(&self) -> Vec<(String, String, String)> {
+        let effects = self.core.plan.effects.iter();
+        let words = effects.map(|e| {
+            (
+                e.effect.name().to_owned(),
+                e.method.to_string(),
+                e.why.to_string(),
+            )
+        });
+        words.collect()
+    }
+
+    /// One frame; numbers are from 0.
+    fn frame(&self, py: Python<'_>, number: &Bound<'_, PyAny>) -> PyResult<Frame> {
+        let number = self.checked(number)?;
+        let taken = threads::run(py, self.threads, |_| Taken::new(&self.core, number))?;
+        taken.frame(py, &self.core, self.threads)
+    }
+
+    /// An iterator over frames: those of a range or list of numbers, or all. As many as there
+    /// are threads are taken at a time. `progress(done, total)` is called before each is
+    /// handed out; what it raises, and Ctrl-C, ends the loop.
+    #[pyo3(signature = (numbers = None, *, progress = None))]
+    fn frames(
+        &self,
+        numbers: Option<&Bound<'_, PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Frames> {
+        let (total, left) = self.numbers(numbers)?;
+        Ok(Frames {
+            simulation: self.core.clone(),
+            threads: self.threads,
+            total,
+            progress,
+            state: Mutex::new(Some(State {
+                left,
+                ready: VecDeque::new(),
+                done: 0,
+            })),
+        })
+    }
+
+    /// How many frames the scan has.
+    fn __len__(&self) -> usize {
+        self.core.scene.scan.frames as usize
+    }
+
+    fn __repr__(&self) -> String {
+        let path = self.core.scene.path.display();
+        format!(
+            "<lasertrace.Simulation of {path}: {} frames>",
+            self.__len__()
+        )
+    }
+}
+
+type Numbers = Box<dyn Iterator<Item = u32> + Send>;
+
+impl Simulation {
+    fn checked(&self, number: &Bound<'_, PyAny>) -> PyResult<u32> {
+        let frames = self.core.scene.scan.frames;
+        match number.extract::<u32>() {
+            Ok(number) if number < frames => Ok(number),
+            _ => Err(Error::new_err(format!(
+                "frame {}: expected a whole number from 0 to {}, the frames of {}",
+                number.repr()?,
+                frames - 1,
+                self.core.scene.path.display()
+            ))),
+        }
+    }
+
+    /// How many frames are asked for, and which.
+    fn numbers(&self, given: Option<&Bound<'_, PyAny>>) -> PyResult<(usize, Numbers)> {
+        let Some(given) = given else {
+            let frames = self.core.scene.scan.frames;
+            return Ok((frames as usize, Box::new(0..frames)));
+        };
+        let Ok(total) = given.len() else {
+            return Err(Error::new_err(format!(
+                "frames: found {}, expected a range or list of numbers",
+                given.repr()?
+            )));
+        };
+        if let (Ok(range), true) = (given.cast::<PyRange>(), total > 0) {
+            let first = self.checked(&given.get_item(0)?)?;
+            self.checked(&given.get_item(total - 1)?)?;
+            let step = range.step()?;
+            let number = move |i| (first as isize + i as isize * step) as u32;
+            return Ok((total, Box::new((0..total).map(number))));
+        }
+        let numbers = given.try_iter()?.map(|number| self.checked(&number?));
+        let numbers = numbers.collect::<PyResult<Vec<u32>>>()?;
+        Ok((numbers.len(), Box::new(numbers.into_iter())))
+    }
+}
+
+/// An iterator over frames; see Simulation.frames.
+#[pyclass(frozen, module = "lasertrace")]
+pub struct Frames {
+    simulation: Arc<Core>,
+    threads: usize,
+    total: usize,
+    progress: Option<Py<PyAny>>,
+    /// `None` while a thread takes frames.
+    state: Mutex<Option<State>>,
+}
+
+struct State {
+    left: Numbers,
+    /// Taken, and not handed out yet.
+    ready: VecDeque<Taken>,
+    done: usize,
+}
+
+#[pymethods]
+impl Frames {
+    fn __iter__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<Frame>> {
+        let Some(mut state) = self.state().take() else {
+            return Err(Error::new_err(
+                "another thread is taking these frames, or was interrupted: give each thread \
+                 frames of its own, simulation.frames(...)",
+            ));
+        };
+        if state.ready.is_empty() {
+            let numbers: Vec<u32> = state.left.by_ref().take(self.threads).collect();
+            state.ready = threads::run(py, self.threads, |stop| {
+                let wanted = numbers.par_iter().filter(|_| !stop.load(Relaxed));
+                let taken = wanted.map(|&number| Taken::new(&self.simulation, number));
+                taken.collect::<Vec<_>>().into()
+            })?;
+        }
+        let taken = state.ready.pop_front();
+        state.done += usize::from(taken.is_some());
+        let done = state.done;
+        *self.state() = Some(state);
+        if let (Some(progress), true) = (&self.progress, taken.is_some()) {
+            progress.call1(py, (done, self.total))?;
+        }
+        taken
+            .map(|taken| taken.frame(py, &self.simulation, self.threads))
+            .transpose()
+    }
+
+    /// How many frames are still to come.
+    fn __length_hint__(&self) -> usize {
+        let done = self.state().as_ref().map_or(0, |state| state.done);
+        self.total - done
+    }
+}
+
+impl Frames {
+    /// Held only for a moment and under Python's lock.
+    fn state(&self) -> std::sync::MutexGuard<'_, Option<State>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What the simulator gives for a frame.
+struct Taken {
+    number: u32,
+    image: Option<Counts>,
+    points: Vec<Point>,
+}
+
+impl Taken {
+    fn new(simulation: &Core, number: u32) -> Taken {
+        let (image, peaks, points) = simulation.take(number);
+        let mut peaks = peaks.iter();
+        // Points are those of some of the peaks, in the same order.
+        let points = points.iter().map(|point| {
+            let peak = peaks.find(|peak| peak.column == point.column);
+            record(point, peak.expect("a point has a peak"))
+        });
+        let points = points.collect();
+        Taken {
+            number,
+            image,
+            points,
+        }
+    }
+
+    fn frame(self, py: Python<'_>, simulation: &Arc<Core>, threads: usize) -> PyResult<Frame> {
+        let image = self.image.map(|image| {
+            let shape = [image.columns(), image.rows()];
+            let columns = PyArray1::from_vec(py, image.into_by_column()).reshape(shape)?;
+            PyResult::Ok(columns.transpose()?.into_any().unbind())
+        });
+        Ok(Frame {
+            number: self.number,
+            image: image.transpose()?,
+            points: PyArray1::from_vec(py, self.points).into_any().unbind(),
+            truth: PyOnceLock::new(),
+            simulation: simulation.clone(),
+            threads,
+        })
+    }
+}
+
+fn record(point: &CloudPoint, peak: &Peak) -> Point {
+    Point {
+        position: point.position.to_array(),
+        sigma: point.sigma,
+        deviation: point.deviation,
+        deviation_sigma: point.deviation_sigma,
+        intensity: point.intensity,
+        row: peak.row,
+        normal: point.normal.to_array(),
+        column: point.column,
+        frame: point.frame,
+        flags: point.flags.bits().into(),
+    }
+}
+
+/// What the sensor takes at one pose, what is measured in it, and its truth.
+#[pyclass(frozen, module = "lasertrace")]
+pub struct Frame {
+    /// Which frame of the scan, from 0.
+    #[pyo3(get)]
+    number: u32,
+    /// Counts of the sensor: uint16, shape (rows, columns), in memory column after column.
+    /// None if the plan takes profiles from geometry, without images.
+    #[pyo3(get)]
+    image: Option<Py<PyAny>>,
+    /// Measured points, one record each: `position` (mm, in the part's frame) and its standard
+    /// uncertainty `sigma`; `deviation` from the CAD (mm, positive outside the material) and
+    /// its `deviation_sigma`; `intensity` (counts); `row` and `column` in the image; `normal`
+    /// of the CAD; `frame`; `flags` (lasertrace.Flag): what is doubtful, 0 for nothing. Flags
+    /// are those of this frame alone: a scan takes back some EDGE by the frames beside it.
+    #[pyo3(get)]
+    points: Py<PyAny>,
+    truth: PyOnceLock<Py<PyDict>>,
+    simulation: Arc<Core>,
+    threads: usize,
+}
+
+#[pymethods]
+impl Frame {
+    /// What each pixel's centre looks at, computed when it is first asked for: a dict of
+    /// arrays of shape (rows, columns) or (rows, columns, 3), in the part's frame, mm. `depth`
+    /// is along the camera's axis from its pupil, inf where nothing is seen; `position` and
+    /// `normal` are 0 there, `triangle` and `copy` lasertrace.NOTHING.
+    #[getter]
+    fn truth(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let truth = self.truth.get_or_try_init(py, || self.look(py))?;
+        Ok(truth.clone_ref(py))
+    }
+
+    /// truth["depth"]: float32, shape (rows, columns), mm; inf where nothing is seen.
+    #[getter]
+    fn depth(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
+        let depth = self.truth(py)?.bind(py).get_item("depth")?;
+        Ok(depth.map(Bound::unbind))
+    }
+
+    /// Pose of the camera, a matrix (4, 4) that takes its points to the part's frame, mm:
+    /// z along the optical axis, x to higher columns, y to higher rows.
+    #[getter]
+    fn part_from_camera<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        matrix(py, &self.simulation.view(self.number).part_from_camera)
+    }
+
+    /// The same of the laser: z along the beam, x along the line, y across its sheet.
+    #[getter]
+    fn part_from_laser<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        matrix(py, &self.simulation.view(self.number).part_from_laser)
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let points = self.points.bind(py).len()?;
+        Ok(format!(
+            "<lasertrace.Frame {}: {points} points>",
+            self.number
+        ))
+    }
+}
+
+impl Frame {
+    fn look(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let truth = threads::run(py, self.threads, |_| self.simulation.truth(self.number))?;
+        let [columns, rows] = self.simulation.scene.camera.sensor.resolution.to_array();
+        let shape = [rows as usize, columns as usize];
+        let dict = PyDict::new(py);
+        dict.set_item("depth", layer(py, truth.depth, &shape)?)?;
+        let vectors = [shape[0], shape[1], 3];
+        dict.set_item(
+            "position",
+            layer(py, truth.position.into_flattened(), &vectors)?,
+        )?;
+        dict.set_item(
+            "normal",
+            layer(py, truth.normal.into_flattened(), &vectors)?,
+        )?;
+        dict.set_item("triangle", layer(py, truth.triangle, &shape)?)?;
+        dict.set_item("copy", layer(py, truth.copy, &shape)?)?;
+        Ok(dict.unbind())
+    }
+}
+
+fn layer<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyAny>> {
+    crate::arrays::shaped(PyArray1::from_vec(py, values).as_any(), shape)
+}
+
+fn matrix<'py>(py: Python<'py>, pose: &Rigid) -> PyResult<Bound<'py, PyAny>> {
+    let [x, y, z] = pose.rotation.transpose().to_cols_array_2d();
+    let t = pose.translation;
+    let rows = [(x, t.x), (y, t.y), (z, t.z), ([0.0; 3], 1.0)];
+    let rows = rows.map(|([a, b, c], t)| [a, b, c, t]);
+    layer(py, rows.as_flattened().to_vec(), &[4, 4])
+}

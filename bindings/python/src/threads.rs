@@ -1,0 +1,88 @@
+//! Work on threads of ours while Python's own run on, which Ctrl-C ends.
+
+use crate::Error;
+use pyo3::prelude::*;
+use rayon::ThreadPool;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::time::Duration;
+
+/// How often Python is asked whether Ctrl-C was pressed.
+const LISTENS: Duration = Duration::from_millis(50);
+
+/// Pools by process and number of threads. They are shared, and never end: a process that
+/// Python forks has none of its parent's threads, and makes its own.
+static POOLS: LazyLock<Mutex<HashMap<(u32, usize), Arc<ThreadPool>>>> =
+    LazyLock::new(Mutex::default);
+
+/// As many threads as are wanted, at most those that the machine grants; all of them for
+/// `None`.
+pub fn wanted(threads: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
+    let granted = std::thread::available_parallelism().map_or(1, usize::from);
+    let Some(given) = threads else {
+        return Ok(granted);
+    };
+    let count = given.extract::<usize>().ok().filter(|&count| count > 0);
+    match count {
+        Some(count) => Ok(count.min(granted)),
+        None => {
+            let found = given.repr()?;
+            let message = format!("threads: found {found}, expected a whole number from 1");
+            Err(Error::new_err(message))
+        }
+    }
+}
+
+/// The lock is only held by one that holds Python's too, as one that forks does: no child
+/// finds it locked by a thread it does not have.
+fn pool(_: Python<'_>, threads: usize) -> PyResult<Arc<ThreadPool>> {
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    let key = (std::process::id(), threads);
+    if let Some(pool) = pools.get(&key) {
+        return Ok(pool.clone());
+    }
+    let built = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = built.map_err(|error| {
+        Error::new_err(format!(
+            "cannot start {threads} threads: {error}; take fewer threads"
+        ))
+    })?;
+    Ok(pools.entry(key).or_insert(Arc::new(pool)).clone())
+}
+
+/// Does `work` on a pool of so many threads, without Python's lock. Ctrl-C sets the flag that
+/// `work` is given; what it returns then is dropped. Errors: KeyboardInterrupt, or what else
+/// a signal handler of the program raises.
+pub fn run<T: Send>(
+    py: Python<'_>,
+    threads: usize,
+    work: impl FnOnce(&AtomicBool) -> T + Send,
+) -> PyResult<T> {
+    let pool = pool(py, threads)?;
+    let (stop, mut result) = (AtomicBool::new(false), None);
+    let heard = pool.in_place_scope(|scope| {
+        let (sender, mut done) = mpsc::channel::<()>();
+        scope.spawn(|_| {
+            let _sender = sender; // dropped at the end, after a panic too
+            result = Some(work(&stop));
+        });
+        let mut heard = Ok(());
+        loop {
+            let waited;
+            (done, waited) = py.detach(move || {
+                let waited = done.recv_timeout(LISTENS);
+                (done, waited)
+            });
+            if waited != Err(RecvTimeoutError::Timeout) {
+                return heard;
+            }
+            if heard.is_ok() {
+                heard = py.check_signals();
+                stop.store(heard.is_err(), Relaxed);
+            }
+        }
+    });
+    heard.map(|()| result.expect("a scope ends after its work"))
+}

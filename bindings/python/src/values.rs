@@ -1,0 +1,139 @@
+//! A scene's values: from Python to TOML, and by dotted key.
+
+use crate::Error;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
+use toml::{Table, Value};
+
+/// Tables within tables that are read: more than any scene has, and few enough for the stack.
+const DEEPEST: usize = 16;
+
+/// A dict as a table, without what is None.
+pub fn table(dict: &Bound<'_, PyDict>) -> PyResult<Table> {
+    match value(dict.as_any(), "", DEEPEST)? {
+        Some(Value::Table(table)) => Ok(table),
+        _ => unreachable!("a dict gives a table"),
+    }
+}
+
+/// Sets what stands at dotted keys, with a number for an element of a list
+/// ("camera.resolution_px.0"); None takes it out.
+pub fn change(table: Table, values: &Bound<'_, PyDict>) -> PyResult<Table> {
+    let mut root = Value::Table(table);
+    for (key, given) in values {
+        let key = text(&key, "a key")?;
+        let new = value(&given, &key, DEEPEST)?;
+        set(&mut root, &key, new).map_err(Error::new_err)?;
+    }
+    match root {
+        Value::Table(table) => Ok(table),
+        _ => unreachable!("nothing takes the place of the root"),
+    }
+}
+
+fn set(root: &mut Value, key: &str, new: Option<Value>) -> Result<(), String> {
+    let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
+    let mut inside = root;
+    let mut passed = String::new();
+    for part in tables.split('.').filter(|_| !tables.is_empty()) {
+        inside = match inside {
+            Value::Table(table) => table
+                .entry(part)
+                .or_insert_with(|| Value::Table(Table::new())),
+            Value::Array(list) => element(list, part, key)?,
+            other => return Err(no_table(key, &passed, other)),
+        };
+        passed = part.to_owned();
+    }
+    match (inside, new) {
+        (Value::Table(table), Some(new)) => {
+            table.insert(name.to_owned(), new);
+        }
+        (Value::Table(table), None) => {
+            if table.remove(name).is_none() {
+                return Err(format!(
+                    "{key}: found None, which takes a key out, but the scene does not have it"
+                ));
+            }
+        }
+        (Value::Array(list), Some(new)) => *element(list, name, key)? = new,
+        (Value::Array(_), None) => {
+            return Err(format!("{key}: found None, expected a value for the list"));
+        }
+        (other, _) => return Err(no_table(key, &passed, other)),
+    }
+    Ok(())
+}
+
+fn element<'a>(list: &'a mut [Value], part: &str, key: &str) -> Result<&'a mut Value, String> {
+    let count = list.len();
+    let found = part.parse().ok().and_then(|i: usize| list.get_mut(i));
+    found.ok_or_else(|| {
+        format!("{key}: found {part:?}, expected a whole number below {count}, the list's length")
+    })
+}
+
+fn no_table(key: &str, passed: &str, value: &Value) -> String {
+    let kind = value.type_str();
+    format!("{key}: {passed} is a value ({kind}), expected a table or a list")
+}
+
+/// None for None.
+fn value(given: &Bound<'_, PyAny>, key: &str, depth: usize) -> PyResult<Option<Value>> {
+    let Some(deeper) = depth.checked_sub(1) else {
+        let message = format!("{key}: found tables and lists more than {DEEPEST} deep");
+        return Err(Error::new_err(message));
+    };
+    Ok(Some(if given.is_none() {
+        return Ok(None);
+    } else if let Ok(is) = given.cast::<PyBool>() {
+        Value::Boolean(is.is_true())
+    } else if let Ok(number) = given.cast::<PyInt>() {
+        Value::Integer(number.extract().map_err(|_| {
+            let message = "expected a whole number that fits 64 bits";
+            Error::new_err(format!("{key}: found an int beyond that, {message}"))
+        })?)
+    } else if let Ok(number) = given.cast::<PyFloat>() {
+        Value::Float(number.extract()?)
+    } else if given.is_instance_of::<PyString>() {
+        Value::String(text(given, key)?)
+    } else if let Ok(dict) = given.cast::<PyDict>() {
+        let mut table = Table::new();
+        for (name, inner) in dict {
+            let name = text(&name, &format!("a key in {key:?}"))?;
+            let inside = match key {
+                "" => name.clone(),
+                _ => format!("{key}.{name}"),
+            };
+            if let Some(inner) = value(&inner, &inside, deeper)? {
+                table.insert(name, inner);
+            }
+        }
+        Value::Table(table)
+    } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() {
+        let elements = given.try_iter()?.enumerate().map(|(i, inner)| {
+            let inside = format!("{key}.{i}");
+            value(&inner?, &inside, deeper)?
+                .ok_or_else(|| Error::new_err(format!("{inside}: found None, expected a value")))
+        });
+        Value::Array(elements.collect::<PyResult<_>>()?)
+    } else if given.hasattr("tolist")? {
+        // Arrays and scalars of NumPy.
+        return value(&given.call_method0("tolist")?, key, deeper);
+    } else if given.hasattr("__fspath__")? {
+        Value::String(text(&given.call_method0("__fspath__")?, key)?)
+    } else {
+        let found = given.get_type().name()?;
+        return Err(Error::new_err(format!(
+            "{key}: found a value of type {found}, expected a number, bool, text, list, dict or \
+             NumPy array"
+        )));
+    }))
+}
+
+fn text(given: &Bound<'_, PyAny>, what: &str) -> PyResult<String> {
+    given.extract::<String>().map_err(|_| {
+        let found = given.get_type();
+        Error::new_err(format!("{what}: found a {found}, expected text (str)"))
+    })
+}

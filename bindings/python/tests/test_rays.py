@@ -1,0 +1,168 @@
+"""Rays against triangles: right answers, by the names of others too, from any memory layout."""
+
+import os
+import sys
+import threading
+import unittest
+from pathlib import Path
+
+import numpy as np
+from lasertrace import NOTHING, RayCaster
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from bench_rays import INSIDE, OUTSIDE, at_vertices_and_edges, sphere
+
+SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+HALVES = np.array([[0, 1, 2], [0, 2, 3]])
+# From above: the first half, the second, beside; from below; along.
+RAYS = np.array(
+    [
+        [0.75, 0.25, 2, 0, 0, -1],
+        [0.25, 0.75, 2, 0, 0, -0.5],
+        [1.5, 0.5, 2, 0, 0, -1],
+        [0.75, 0.25, -3, 0, 0, 1],
+        [0.5, 0.5, 1, 0, 0, 1],
+    ]
+)
+
+
+class Rays(unittest.TestCase):
+    def both(self):
+        for backend in ["embree", "rust"]:
+            with self.subTest(backend=backend):
+                yield RayCaster(SQUARE, HALVES, backend=backend)
+
+    def test_hits_are_those_of_plain_geometry(self):
+        for caster in self.both():
+            hits = caster.cast(RAYS)
+            nothing = int(NOTHING)
+            np.testing.assert_array_equal(hits["triangle"], [0, 1, nothing, 0, nothing])
+            np.testing.assert_array_equal(hits["instance"], [0, 0, nothing, 0, nothing])
+            # All numbers are powers of two and their sums: exact.
+            np.testing.assert_array_equal(hits["distance"], [2, 4, np.inf, 3, np.inf])
+            np.testing.assert_array_equal(hits["point"][1], [0.25, 0.75, 0])
+            np.testing.assert_array_equal(hits["point"][2], 0)
+            u, v = hits["barycentric"][0]
+            a, b, c = SQUARE[HALVES[0]]
+            np.testing.assert_array_equal((1 - u - v) * a + u * b + v * c, [0.75, 0.25, 0])
+            np.testing.assert_array_equal(caster.any_hit(RAYS), [1, 1, 0, 1, 0])
+            np.testing.assert_array_equal(caster.any_hit(RAYS, t_max=2.5), [1, 0, 0, 0, 0])
+
+    def test_the_nearest_place(self):
+        for caster in self.both():
+            places = caster.nearest(np.array([[0.75, 0.25, -2], [4, 0.5, 4]]))
+            np.testing.assert_array_equal(places["distance"], [2, 5])
+            np.testing.assert_array_equal(places["point"], [[0.75, 0.25, 0], [1, 0.5, 0]])
+
+    def test_names_of_open3d_and_trimesh_give_the_same(self):
+        caster = RayCaster(SQUARE, HALVES)
+        hits, dictionary = caster.cast(RAYS), caster.cast_rays(RAYS)
+        names = ["t_hit", "geometry_ids", "primitive_ids", "primitive_uvs"]
+        for name, field in zip(names, ["distance", "instance", "triangle", "barycentric"]):
+            np.testing.assert_array_equal(dictionary[name], hits[field])
+        np.testing.assert_array_equal(caster.test_occlusions(RAYS, tfar=2.5), [1, 0, 0, 0, 0])
+        points = np.array([[4.0, 0.5, 4]])
+        self.assertEqual(caster.compute_distance(points), [5])
+        np.testing.assert_array_equal(caster.compute_closest_points(points)["points"], [[1, 0.5, 0]])
+
+        origins, directions = RAYS[:, :3], RAYS[:, 3:]
+        np.testing.assert_array_equal(caster.intersects_any(origins, directions), [1, 1, 0, 1, 0])
+        first = caster.intersects_first(origins, directions)
+        np.testing.assert_array_equal(first, [0, 1, -1, 0, -1])
+        places, ray, triangle = caster.intersects_location(
+            origins, directions, multiple_hits=False
+        )
+        np.testing.assert_array_equal(ray, [0, 1, 3])
+        np.testing.assert_array_equal(triangle, [0, 1, 0])
+        np.testing.assert_array_equal(places, hits["point"][[0, 1, 3]])
+
+    def test_instances_are_met_where_they_are(self):
+        poses = np.stack([np.eye(4), np.eye(4)])
+        poses[1, :3, 3] = [10, 0, 1]
+        caster = RayCaster(SQUARE, HALVES, instances=poses)
+        rays = RAYS[:1] + np.array([[0.0, 0, 0, 0, 0, 0], [10, 0, 0, 0, 0, 0]])
+        hits = caster.cast(rays)
+        np.testing.assert_array_equal(hits["instance"], [0, 1])
+        np.testing.assert_array_equal(hits["distance"], [2, 1])
+
+    def test_any_layout_of_memory_gives_the_same(self):
+        rng = np.random.default_rng(1)
+        vertices, triangles = sphere(12)
+        # float32 numbers, so that both types hold the same rays.
+        rays = rng.normal(size=(1000, 6)).astype(np.float32).astype(np.float64)
+        caster = RayCaster(vertices, triangles)
+        expected = caster.cast(rays)
+        self.assertGreater((expected["triangle"] != NOTHING).sum(), 100)
+        wide = np.zeros((1000, 9))
+        wide[:, 2:8] = rays
+        packed = np.zeros(1000, dtype=[("odd", "u1"), ("ray", "6f8")])
+        packed["ray"] = rays
+        frozen = rays.copy()
+        frozen.flags.writeable = False
+        layouts = {
+            "float32": rays.astype(np.float32),
+            "by columns": np.asfortranarray(rays),
+            "a part of rows": wide[:, 2:8],
+            "backwards": rays[::-1].copy()[::-1],
+            "unaligned": packed["ray"],
+            "read-only": frozen,
+            "more axes": rays.reshape(10, 100, 6),
+        }
+        for name, layout in layouts.items():
+            with self.subTest(name):
+                hits = caster.cast(layout)
+                self.assertEqual(hits.shape, layout.shape[:-1])
+                np.testing.assert_array_equal(hits.reshape(-1), expected)
+        for kind in [np.int32, np.int64, np.uint32, np.uint64]:
+            again = RayCaster(vertices.astype(np.float32).astype(float), triangles.astype(kind))
+            self.assertEqual(again.triangle_count, len(triangles))
+
+    def test_at_vertices_and_edges_no_ray_is_lost(self):
+        """Of a closed mesh: from outside by either backend, from inside by the one in Rust.
+        From inside Embree's float32 loses some at vertices (LIMITS.md)."""
+        vertices, triangles = sphere(100)
+        for backend, eye in [("embree", OUTSIDE), ("rust", OUTSIDE), ("rust", INSIDE)]:
+            rays = at_vertices_and_edges(vertices, triangles, eye)
+            self.assertGreater(len(rays), 10000)
+            hits = RayCaster(vertices, triangles, backend=backend).cast(rays)
+            # In units of the direction's length, to the rounding of f64 for coordinates of 3,
+            # a surface met at more than arcsin(0.1/4), and a hundred operations.
+            self.assertLess(np.abs(hits["distance"] - 1).max(), 100 * 40 * 3 * 2**-53)
+
+    def test_threads_give_the_same(self):
+        vertices, triangles = sphere(30)
+        rays = np.random.default_rng(2).normal(size=(20000, 6))
+        one = RayCaster(vertices, triangles, threads=1).cast(rays)
+        caster = RayCaster(vertices, triangles)
+        results = [None] * 4
+
+        def work(i):
+            results[i] = caster.cast(rays)
+
+        workers = [threading.Thread(target=work, args=(i,)) for i in range(4)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        for result in results:
+            np.testing.assert_array_equal(result, one)
+
+    def test_a_forked_process_has_threads_of_its_own(self):
+        vertices, triangles = sphere(30)
+        rays = np.random.default_rng(3).normal(size=(20000, 6))
+        caster = RayCaster(vertices, triangles)
+        expected = caster.cast(rays)
+        child = os.fork()
+        if child == 0:
+            same = np.array_equal(caster.cast(rays), expected)
+            os._exit(0 if same else 1)
+        self.assertEqual(os.waitpid(child, 0)[1], 0)
+
+    def test_no_rays_no_hits(self):
+        caster = RayCaster(SQUARE, HALVES)
+        self.assertEqual(caster.cast(np.zeros((0, 6))).shape, (0,))
+        self.assertEqual(caster.any_hit(np.zeros((3, 0, 6))).shape, (3, 0))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,232 @@
+"""Scenes and frames: the bytes of the command line, values by key, threads, interruption."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+from pathlib import Path
+
+import numpy as np
+from lasertrace import _core
+from lasertrace import NOTHING, Error, Flag, RayCaster, Scene, Simulation
+
+ROOT = Path(__file__).resolve().parents[3]
+PLANE = ROOT / "scenes/plane/scene.toml"
+BRACKET = ROOT / "scenes/bracket/scene.toml"
+
+# The plane's scene as Python has it.
+VALUES = {
+    "seed": 1,
+    "speckle": False,
+    "part": {"plane": {"size_mm": np.array([20, 20])}, "reflectance": 0.5, "rotation_deg": (8, 5, 0)},
+    "laser": {
+        "wavelength_nm": 660,
+        "power_mw": 5,
+        "waist_radius_um": 30,
+        "waist_distance_mm": 150,
+        "position_mm": [0, 0, 150],
+        "direction": [0, 0, -1],
+        "line": {"fan_deg": 5, "profile": "uniform", "direction": [1, 0, 0]},
+    },
+}
+
+
+class Scenes(unittest.TestCase):
+    def test_file_text_and_dict_are_one_scene(self):
+        text = PLANE.read_text()
+        loaded, parsed = Scene.load(PLANE), Scene.parse(text, PLANE.parent)
+        tables = {}
+        # Python 3.11 reads TOML; for older ones the table is written out in part.
+        try:
+            import tomllib
+
+            tables = tomllib.loads(text)
+        except ImportError:
+            tables = None
+        scenes = [loaded, parsed]
+        if tables is not None:
+            self.assertEqual({k: tables["laser"][k] for k in VALUES["laser"]}, VALUES["laser"])
+            scenes.append(Scene.from_dict({**tables, **VALUES, "plan": None}))
+        images = [Simulation(scene).frame(4).image for scene in scenes]
+        for image in images:
+            np.testing.assert_array_equal(image, images[0])
+        self.assertEqual((loaded.frames, loaded.resolution), (9, (640, 300)))
+        self.assertEqual(loaded.text, text)
+
+    def test_values_change_by_key_and_the_scene_stays(self):
+        scene = Scene.load(BRACKET)
+        # 1/N² of the light: half the f-number, four times as much, up to the counts' end.
+        dark = {"speckle": False, "camera.read_noise_e": None, "camera.black_level_dn": None}
+        narrow = scene.with_values({**dark, "camera.f_number": 32})
+        wide = narrow.with_values({"camera.f_number": np.float32(16)})
+        mean = [Simulation(s).frame(100).image.astype(float).max() for s in (narrow, wide)]
+        # Counts are rounded to whole ones, both by half of one at most.
+        self.assertGreater(mean[0], 10)
+        self.assertLess(abs(mean[1] - 4 * mean[0]), 0.5 + 4 * 0.5)
+        self.assertIn("f_number = 8", scene.text)
+
+        moved = scene.with_values({"camera.resolution_px.1": 256, "part.position_mm": [0, 0, 1]})
+        self.assertEqual(moved.resolution, (1280, 256))
+        sphere = {"part.mesh": None, "part.sphere": {"radius_mm": 5.0, "chord_um": 10}}
+        self.assertIn("sphere", repr(scene.with_values(sphere)))
+
+    def test_an_unknown_key_is_an_error_that_helps(self):
+        scene = Scene.load(PLANE)
+        with self.assertRaisesRegex(Error, r"camera\.f_numbre.*did you mean f_number\?"):
+            scene.with_values({"camera.f_numbre": 4})
+        with self.assertRaisesRegex(ValueError, r"camera\.f_number: found 0"):
+            scene.with_values({"camera.f_number": 0})
+
+
+def png(path):
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.array(image).astype(np.uint16)
+
+
+class Frames(unittest.TestCase):
+    @unittest.skipUnless(os.environ.get("LASERTRACE"), "LASERTRACE names no program")
+    def test_a_frame_is_that_of_the_command_line(self):
+        for path, number in [(PLANE, 4), (BRACKET, 90)]:
+            with tempfile.TemporaryDirectory() as folder:
+                program = [os.environ["LASERTRACE"], "render", path, "--frame", str(number)]
+                subprocess.run([*program, "-o", folder, "--quiet"], check=True, stdout=subprocess.DEVNULL)
+                expected = png(Path(folder, f"frame-{number:06}.png"))
+            frame = Simulation(Scene.load(path)).frame(number)
+            self.assertEqual(frame.image.dtype, np.uint16)
+            self.assertEqual(frame.image.tobytes(), expected.tobytes())
+
+    def test_frames_are_those_asked_for_on_any_number_of_threads(self):
+        scene = Scene.load(PLANE)
+        one, all_ = Simulation(scene, threads=1), Simulation(scene)
+        self.assertEqual(len(one), 9)
+        for numbers in [None, range(2, 8, 3), range(7, 1, -2), [3, 3, 0], np.array([5]), range(0)]:
+            expected = list(range(9) if numbers is None else numbers)
+            heard = []
+            frames = all_.frames(numbers, progress=lambda *call: heard.append(call))
+            taken = list(frames)
+            self.assertEqual([frame.number for frame in taken], expected)
+            self.assertEqual(heard, [(k + 1, len(expected)) for k in range(len(expected))])
+            for a, b in zip(taken, one.frames(numbers)):
+                self.assertEqual(a.image.tobytes(), b.image.tobytes())
+                self.assertEqual(a.points.tobytes(), b.points.tobytes())
+
+    def test_arrays_are_what_they_say(self):
+        frame = Simulation(Scene.load(PLANE)).frame(4)
+        self.assertEqual(frame.image.shape, (300, 640))
+        self.assertTrue(frame.image.flags.writeable and not frame.image.flags.owndata)
+        points = frame.points
+        self.assertEqual(len(points), 640)
+        np.testing.assert_array_equal(points["column"], np.arange(640))
+        np.testing.assert_array_equal(points["frame"], 4)
+        # The scene has neither noise nor speckle; its README promises 1 µm.
+        self.assertLess(np.abs(points["deviation"]).max(), 1e-3)
+        # On the plane the deviation is the place's height in the part's frame.
+        np.testing.assert_allclose(points["deviation"], points["position"][:, 2], atol=1e-12)
+        self.assertTrue(all(np.isfinite(points[name]).all() for name in points.dtype.names))
+        # The line lies where the image is bright: within a pixel of its brightest row.
+        brightest = frame.image.argmax(axis=0)
+        self.assertLess(np.abs(points["row"] - 0.5 - brightest).max(), 1)
+
+    def test_truth_is_what_rays_from_the_camera_meet(self):
+        frame = Simulation(Scene.load(PLANE)).frame(4)
+        depth, truth = frame.depth, frame.truth
+        self.assertIs(frame.truth, truth)
+        self.assertEqual((depth.shape, depth.dtype), ((300, 640), np.float32))
+        self.assertTrue((np.isfinite(depth) == (truth["triangle"] != NOTHING)).all())
+        seen = np.isfinite(depth)
+        self.assertGreater(seen.sum(), 1000)
+        # Of the plane; positions are float32 of up to 10 mm.
+        eye, axis = frame.part_from_camera[:3, 3], frame.part_from_camera[:3, 2]
+        along = (truth["position"][seen] - eye) @ axis
+        np.testing.assert_allclose(along, depth[seen], rtol=2**-22)
+        square = np.array([[-10.0, -10, 0], [10, -10, 0], [10, 10, 0], [-10, 10, 0]])
+        caster = RayCaster(square, np.array([[0, 1, 2], [0, 2, 3]]))
+        position = truth["position"][seen].astype(float)
+        rays = np.concatenate([np.broadcast_to(eye, position.shape), position - eye], axis=1)
+        hits = caster.cast(rays)
+        # A place rounded to float32 at the border may lie beside the plane.
+        self.assertLess((hits["triangle"] == NOTHING).mean(), 0.01)
+        met = hits["triangle"] != NOTHING
+        np.testing.assert_allclose(hits["distance"][met], 1, atol=1e-6)
+
+    def test_flags_are_those_of_the_simulator(self):
+        self.assertEqual(_core.FLAGS, {flag.name: flag.value for flag in Flag})
+
+    def test_python_threads_share_a_simulation(self):
+        simulation = Simulation(Scene.load(PLANE))
+        expected = [frame.image.tobytes() for frame in simulation.frames()]
+        wrong = []
+
+        def work():
+            for frame in simulation.frames():
+                if frame.image.tobytes() != expected[frame.number]:
+                    wrong.append(frame.number)
+
+        workers = [threading.Thread(target=work) for _ in range(4)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        self.assertEqual(wrong, [])
+
+    def test_other_threads_run_while_frames_are_taken(self):
+        """A thread that counts gets on between the calls of one long one."""
+        simulation = Simulation(Scene.load(BRACKET))
+        counted, ended = [0], threading.Event()
+
+        def count():
+            while not ended.is_set():
+                counted[0] += 1
+
+        counter = threading.Thread(target=count)
+        counter.start()
+        before = counted[0]
+        simulation.frame(90)
+        during = counted[0] - before
+        ended.set()
+        counter.join()
+        # With the lock held it would be what fits into a switch of threads, or nothing.
+        self.assertGreater(during, 1000)
+
+    def test_what_progress_raises_ends_the_loop(self):
+        def stop(done, total):
+            if done == 3:
+                raise RuntimeError("enough")
+
+        taken = []
+        with self.assertRaisesRegex(RuntimeError, "enough"):
+            taken.extend(Simulation(Scene.load(PLANE)).frames(progress=stop))
+
+    def test_ctrl_c_ends_a_scan_and_a_cast(self):
+        scan = (
+            "import lasertrace\n"
+            f"s = lasertrace.Simulation(lasertrace.Scene.load({str(BRACKET)!r}))\n"
+            "print('started', flush=True)\n"
+            "while True:\n"
+            "    for frame in s.frames(): pass\n"
+        )
+        # Far more rays than can be cast before the signal comes, and no memory for them.
+        cast = (
+            "import lasertrace, numpy as np\n"
+            "c = lasertrace.RayCaster(np.eye(3), np.array([[0, 1, 2]]))\n"
+            "print('started', flush=True)\n"
+            "while True:\n"
+            "    c.any_hit(np.broadcast_to(np.ones(6), (5_000_000, 6)))\n"
+        )
+        for program in [scan, cast]:
+            run = subprocess.Popen(
+                [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+            self.assertEqual(run.stdout.readline(), b"started\n")
+            run.send_signal(signal.SIGINT)
+            _, said = run.communicate(timeout=120)
+            self.assertIn(b"KeyboardInterrupt", said)
+
+
+if __name__ == "__main__":
+    unittest.main()
