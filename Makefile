@@ -13,8 +13,9 @@ export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
 
+# The C library with it, in one build; its own tests compile C programs.
 test: setup
-	cargo test
+	cargo test -p lasertrace -p lasertrace-c
 	bindings/python/test.sh
 
 bench: setup

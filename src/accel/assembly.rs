@@ -32,27 +32,6 @@ struct Met {
 
 impl Accel {
     /// [`Self::build_with`] the default backend: Embree if it is built in.
-    ///
-    /// ```
-    /// use lasertrace::accel::{Accel, Ray};
-    /// use lasertrace::math::{DVec2, DVec3};
-    /// use lasertrace::mesh::shapes;
-    /// use std::sync::Arc;
-    ///
-    /// let square = shapes::plane(DVec2::new(10.0, 10.0)).expect("a size above 0");
-    /// let accel = Accel::build(&Arc::new(square), 1)?;
-    /// let ray = Ray {
-    ///     origin: DVec3::new(2.0, 1.0, 5.0),
-    ///     direction: -DVec3::Z,
-    ///     t_max: f64::INFINITY,
-    /// };
-    /// let hit = accel.closest(&[ray], |_, _| true)[0].expect("it meets the square");
-    /// assert_eq!((hit.t, hit.normal), (5.0, DVec3::Z));
-    ///
-    /// let nearest = accel.nearest(DVec3::new(8.0, 1.0, 4.0), None);
-    /// assert_eq!((nearest.point, nearest.distance), (DVec3::new(5.0, 1.0, 0.0), 5.0));
-    /// # Ok::<(), lasertrace::Error>(())
-    /// ```
     pub fn build(mesh: &Arc<Mesh>, threads: usize) -> Result<Accel> {
         Accel::build_with(Backend::default(), mesh, threads, &|_| Ok(()))
     }
@@ -139,6 +118,7 @@ impl Accel {
 
     /// The largest coordinate in play, mm: of the part, of the mesh in its own frame,
     /// and of the poses between them.
+    #[doc(hidden)]
     pub fn largest_coordinate(&self) -> f64 {
         let (mesh, part) = (self.hierarchy.part().bounds, self.bounds());
         let moved = self
@@ -161,6 +141,7 @@ impl Accel {
 
     /// Greatest difference between the distance the backend finds and the one that
     /// is taken after refinement, mm.
+    #[doc(hidden)]
     pub fn refinement(&self) -> f64 {
         self.hierarchy.part().refinement()
     }
@@ -170,6 +151,28 @@ impl Accel {
     /// distance; else as if nothing were hit. Where copies touch, of the first. A triangle
     /// that f64 passes is not met; what may be lost is what a ray at an outline meets
     /// within f32's steps of it, and at a vertex of an open mesh (LIMITS.md).
+    ///
+    /// ```
+    /// use lasertrace::accel::{Accel, Ray};
+    /// use lasertrace::math::{DVec2, DVec3};
+    /// use lasertrace::mesh::shapes;
+    /// use std::sync::Arc;
+    ///
+    /// let square = shapes::plane(DVec2::new(10.0, 10.0)).expect("a size above 0");
+    /// let accel = Accel::build(&Arc::new(square), 1)?;
+    /// let ray = Ray {
+    ///     origin: DVec3::new(2.0, 1.0, 5.0),
+    ///     direction: -DVec3::Z,
+    ///     t_max: f64::INFINITY,
+    /// };
+    /// let hit = accel.closest(&[ray], |_, _| true)[0].expect("it meets the square");
+    /// assert_eq!((hit.t, hit.normal), (5.0, DVec3::Z));
+    ///
+    /// let nearest = accel.nearest(DVec3::new(8.0, 1.0, 4.0), None);
+    /// assert_eq!((nearest.point, nearest.distance), (DVec3::new(5.0, 1.0, 0.0), 5.0));
+    /// # Ok::<(), lasertrace::Error>(())
+    /// ```
+    #[doc(hidden)]
     pub fn closest(
         &self,
         rays: &[Ray],
@@ -180,6 +183,7 @@ impl Accel {
 
     /// The same of some of the rays (as bits); of the others as if they hit nothing. What
     /// one hits does not depend on which others are asked for.
+    #[doc(hidden)]
     pub fn closest_some(
         &self,
         rays: &[Ray],
@@ -240,6 +244,7 @@ impl Accel {
     }
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.
+    #[doc(hidden)]
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
         let Some(copies) = &self.copies else {
             return self.hierarchy.occluded(rays);
@@ -260,6 +265,7 @@ impl Accel {
 
     /// The point of the part nearest to `p`, in f64; of several, that of the first
     /// triangle. A triangle close to `p`, if one is known, makes the search shorter.
+    #[doc(hidden)]
     pub fn nearest(&self, p: DVec3, close: Option<Face>) -> Nearest {
         let nothing = |point| Nearest {
             face: Face {
@@ -306,6 +312,7 @@ impl Accel {
     /// which the face belongs has a point outside it, whose nearest point this is, on that
     /// side (see [`Shell::outward`]). `None` where the mesh is open or wound both ways, so
     /// that it has no inside.
+    #[doc(hidden)]
     pub fn outward(&self, face: Face, point: DVec3) -> Option<DVec3> {
         let shell = self.shell.get_or_init(|| Shell::of(self.mesh())).as_ref()?;
         let outward = |point| shell.outward(self.mesh(), face.triangle, point);
@@ -322,6 +329,7 @@ impl Accel {
     /// Reports every triangle that may touch all of `volume` (at most 32 half-spaces),
     /// as [`Clusters::touching`] does; `clusters` are the mesh's. Costs what the copies
     /// that are touched cost.
+    #[doc(hidden)]
     pub fn touching(
         &self,
         clusters: &Clusters,

@@ -63,9 +63,9 @@ impl Accel {
     ///
     /// Both sides of a triangle are met; one without area is not. Of two triangles at the
     /// same distance either may be met; which depends on the rays beside this one in its
-    /// packet of 16 (rays 0 to 15, 16 to 31, …), never on the number of threads. Surface
-    /// closer to the origin than [`Self::resolution`] may be missed, and see
-    /// [`Self::closest`] for the outlines of open meshes.
+    /// packet of 16 (rays 0 to 15, 16 to 31, …), never on the number of threads. With Embree,
+    /// surface closer to the origin than [`Self::resolution`] may be missed, and so may what a
+    /// ray meets within f32's steps of a vertex or outline of an open mesh (LIMITS.md).
     ///
     /// # Errors
     /// `Error::Usage` that names the first ray which is not one; all of `hits` is then
@@ -263,8 +263,8 @@ fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
     // False for NaN too, which 0/0 and ∞/∞ give.
     if !LENGTHS.contains(&length) {
         return Err(format!(
-            "direction {}, expected a vector of length 1e-100 to 1e100",
-            ray.direction
+            "direction {:?}, expected a vector of length 1e-100 to 1e100",
+            ray.direction.to_array()
         ));
     }
     if ray.t_max.is_nan() || ray.t_max < 0.0 {
@@ -284,7 +284,10 @@ fn normalized(ray: Ray) -> std::result::Result<(Ray, f64), String> {
 fn check_place(p: DVec3) -> std::result::Result<(), String> {
     match !p.is_nan() && p.abs().max_element() <= LARGEST_MM {
         true => Ok(()),
-        false => Err(format!("{p}, expected finite coordinates within 1e12 mm")),
+        false => Err(format!(
+            "{:?}, expected finite coordinates within 1e12 mm",
+            p.to_array()
+        )),
     }
 }
 

@@ -111,7 +111,7 @@ fn check(accel: &Accel, hit: &SurfacePoint) {
 fn hits_are_those_of_brute_force_in_units_of_the_direction() {
     let mesh = soup();
     let unit = rays_at(&mesh, 8_000);
-    let length = |i: usize| if i % 2 == 0 { 1.0 } else { 0.37 };
+    let length = |i: usize| [1.0, 0.37][i & 1];
     let given = |(i, ray): (usize, &Ray)| Ray {
         direction: ray.direction * length(i),
         ..*ray

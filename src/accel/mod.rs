@@ -35,14 +35,16 @@ use crate::math::DVec3;
 /// Rays per packet.
 pub const WIDTH: usize = 16;
 
-/// Half-line from `origin` along the unit vector `direction`, up to `t_max` mm.
+/// Half-line from `origin` along `direction`, up to `t_max`. [`Accel::closest_hits`] and
+/// [`Accel::any_hits`] take directions of any length, which is then the unit of `t_max`; within the
+/// simulator they are of length 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
     /// mm, in the part's frame.
     pub origin: DVec3,
-    /// Unit vector.
+    /// Of length 1, or as said above.
     pub direction: DVec3,
-    /// mm; may be infinite.
+    /// mm, or lengths of the direction; may be infinite.
     pub t_max: f64,
 }
 

@@ -73,8 +73,8 @@ impl Mesh {
         let usable = |p: &DVec3| !p.is_nan() && p.abs().max_element() <= LARGEST_MM;
         if let Some(wrong) = positions.iter().position(|p| !usable(p)) {
             return Err(Error::Usage(format!(
-                "vertex {wrong} is {}, expected finite coordinates within 1e12 mm",
-                positions[wrong]
+                "vertex {wrong} is {:?}, expected finite coordinates within 1e12 mm",
+                positions[wrong].to_array()
             )));
         }
         let mut used = vec![false; positions.len()];

@@ -22,6 +22,7 @@ const WALL: f64 = 0.15;
 
 impl Simulation {
     /// How peaks are found in this scene's images.
+    #[doc(hidden)]
     pub fn peak_settings(&self) -> PeakSettings {
         let Scene {
             measure, camera, ..
@@ -35,6 +36,7 @@ impl Simulation {
     }
 
     /// Lines of an image and how far their rows may be off.
+    #[doc(hidden)]
     pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
         let mut peaks = find_peaks(counts, &self.peak_settings());
         let errors = self.errors.row_errors(&peaks, counts.columns());
@@ -81,6 +83,7 @@ impl Simulation {
     /// The profile that an ideal image would have, from laser rays and what the
     /// camera sees of them, and its points. The stated uncertainty is still that of
     /// the peaks of real images. Empty but where the plan takes geometry only.
+    #[doc(hidden)]
     pub fn geometric(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
         self.geometric_at(&self.pose(frame))
     }

@@ -70,6 +70,7 @@ impl Simulation {
     }
 
     /// One that traces every sample, to the same bytes.
+    #[doc(hidden)]
     pub fn exhaustive(scene: &Scene) -> Result<Simulation> {
         Simulation::of_everything(scene, hierarchy(scene, &|_| Ok(()))?)
     }
@@ -81,6 +82,7 @@ impl Simulation {
     }
 
     /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
+    #[doc(hidden)]
     pub fn geometry(scene: &Scene) -> Result<Simulation> {
         let accel = hierarchy(scene, &|_| Ok(()))?;
         Simulation::of_geometry(scene, accel)

@@ -35,8 +35,10 @@ pub struct Simulation {
     /// Rays against the part; clones share one hierarchy.
     pub accel: Arc<Accel>,
     /// Which effects are modelled, and how.
+    #[doc(hidden)]
     pub plan: Plan,
     /// What the measurement knows of the sensor.
+    #[doc(hidden)]
     pub calibration: Calibration,
     speckle: Option<Arc<ScanSpeckle>>,
     /// `None`: every sample is traced.
@@ -133,6 +135,7 @@ impl Simulation {
     }
 
     /// What `frame` is taken of, at the middle of its exposure.
+    #[doc(hidden)]
     pub fn view(&self, frame: u32) -> View<'_> {
         self.view_of(&self.pose(frame))
     }
@@ -176,6 +179,7 @@ impl Simulation {
     }
 
     /// The light on the sensor in a frame, the mean over the poses of its exposure.
+    #[doc(hidden)]
     pub fn irradiance(&self, frame: u32) -> Irradiance {
         self.mean(frame, &self.region())
     }
@@ -221,6 +225,7 @@ impl Simulation {
     }
 
     /// What the sensor makes of the light.
+    #[doc(hidden)]
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         self.readout.counts(irradiance, self.noise(frame))
     }

@@ -18,15 +18,19 @@ pub struct ScanPath {
     /// Number of frames, at least 1.
     pub frames: u32,
     /// Which body moves; the other rests.
+    #[doc(hidden)]
     pub moves: Moves,
     /// How it moves.
+    #[doc(hidden)]
     pub motion: Motion,
     /// The head at rest, turned nowhere.
     pub start: DVec3,
     /// Share of the way from frame to frame that one exposure takes, 0 to 1;
     /// `None` without a frame rate.
+    #[doc(hidden)]
     pub exposure_share: Option<f64>,
     /// Poses in one exposure whose light is averaged.
+    #[doc(hidden)]
     pub exposure_poses: u32,
 }
 
@@ -62,6 +66,7 @@ pub enum Motion {
 
 impl ScanPath {
     /// One frame, the head in the world's frame.
+    #[doc(hidden)]
     pub fn at_rest() -> ScanPath {
         ScanPath {
             frames: 1,
@@ -143,6 +148,7 @@ impl ScanPath {
     }
 
     /// Whether head and part turn against each other on the way.
+    #[doc(hidden)]
     pub fn turns(&self) -> bool {
         match &self.motion {
             Motion::Linear { .. } => false,
@@ -153,6 +159,7 @@ impl ScanPath {
 
     /// Where on the path the light of a frame is taken: about the frame's own
     /// place, the middle of the exposure.
+    #[doc(hidden)]
     pub fn exposure_places(&self, frame: u32) -> impl Iterator<Item = f64> + use<> {
         let n = self.exposure_poses as f64;
         let share = self.exposure_share.unwrap_or(0.0);

@@ -48,31 +48,38 @@ pub struct Scene {
     /// The scene file; what errors and summaries name.
     pub path: PathBuf,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
+    #[doc(hidden)]
     pub hash: String,
     /// Of everything random.
     pub seed: u64,
     /// `None`: laser light is taken as incoherent.
+    #[doc(hidden)]
     pub speckle: Option<SpeckleModel>,
     /// Whether a scan writes its images.
+    #[doc(hidden)]
     pub write_frames: bool,
     /// What finds the triangles rays meet.
     pub accel: Backend,
     /// Error of height (µm) that the simulation may add; `None`: nothing is left out.
     pub tolerance_um: Option<f64>,
     /// Methods the scene names.
+    #[doc(hidden)]
     pub methods: PlanTable,
     /// The part in words: the mesh file and its unit, or the shape and its size.
+    #[doc(hidden)]
     pub part: String,
     /// The part, mm, in its own frame; or what the copies repeat.
     #[serde(skip)]
     pub mesh: Arc<Mesh>,
     /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
+    #[doc(hidden)]
     pub mesh_unit: Option<Unit>,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
     /// as their number.
     #[serde(serialize_with = "number")]
     pub copies: Arc<[Rigid]>,
     /// How the part scatters light.
+    #[doc(hidden)]
     pub surface: Lambert,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
@@ -85,10 +92,12 @@ pub struct Scene {
     /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
     /// From image to points.
+    #[doc(hidden)]
     pub measure: Measure,
     /// How the body moves, and how often a frame is taken.
     pub scan: ScanPath,
     /// What the measurement takes the sensor for; `None`: what it is.
+    #[doc(hidden)]
     pub calibration: Option<Calibration>,
 }
 
@@ -100,6 +109,7 @@ impl Scene {
     }
 
     /// The same; `watch` hears how much of the mesh is read.
+    #[doc(hidden)]
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
         Scene::resolved(Source::read(path)?, path, watch)
     }

@@ -1,0 +1,225 @@
+//! C programs against header and library, as a user has them after `install.sh`: shared and
+//! static, with all warnings as errors, and under AddressSanitizer where the compiler has it.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+const WARNINGS: [&str; 5] = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic"];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// Of the profile that this test is built with.
+fn target() -> PathBuf {
+    let test = std::env::current_exe().unwrap();
+    test.ancestors().nth(2).unwrap().to_owned()
+}
+
+fn run(command: &mut Command) -> Output {
+    let output = command.output();
+    let output = output.unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    assert!(
+        output.status.success(),
+        "{command:?}: {}\n{}{}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    output
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}
+
+/// Header, libraries and pkg-config file below a folder of their own, once for all tests.
+/// (Cargo builds a library that only C links when it is asked to, not for tests; with the
+/// packages and targets of `make test` it shares their build.)
+fn installed() -> &'static Path {
+    static INSTALLED: OnceLock<PathBuf> = OnceLock::new();
+    INSTALLED.get_or_init(|| {
+        let mut build = Command::new(env!("CARGO"));
+        build.args(["build", "-p", "lasertrace", "-p", "lasertrace-c"]);
+        build.args(["--lib", "--test", "header"]);
+        if target().ends_with("release") {
+            build.arg("--release");
+        }
+        run(build.current_dir(root()));
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("c");
+        let install = Path::new(env!("CARGO_MANIFEST_DIR")).join("install.sh");
+        run(Command::new(install).args([&folder, &target()]));
+        folder
+    })
+}
+
+fn pkg_config(arguments: &[&str]) -> Vec<String> {
+    let mut command = Command::new("pkg-config");
+    command.env("PKG_CONFIG_PATH", installed().join("lib/pkgconfig"));
+    let flags = text(&run(command.args(arguments).arg("lasertrace")));
+    flags.split_whitespace().map(str::to_owned).collect()
+}
+
+fn has(tool: &str) -> bool {
+    Command::new(tool).arg("--version").output().is_ok()
+}
+
+/// How a program is linked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Linked {
+    Shared,
+    Static,
+}
+
+/// A program of a source file, and the folder it is in.
+fn compiled(source: &str, linked: Linked, more: &[&str]) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let program = folder.path().join("program");
+    let mut flags = pkg_config(&["--cflags", "--libs"]);
+    if linked == Linked::Static {
+        // The file itself: of two libraries of a name the linker takes the shared one.
+        let archive = installed()
+            .join("lib/liblasertrace.a")
+            .display()
+            .to_string();
+        let all = pkg_config(&["--cflags", "--libs", "--static"]);
+        let named = |flag: String| match flag == "-llasertrace" {
+            true => archive.clone(),
+            false => flag,
+        };
+        flags = all.into_iter().map(named).collect();
+    }
+    let mut cc = Command::new("cc");
+    cc.args(WARNINGS)
+        .args(more)
+        .args(["-pthread", "-o"])
+        .arg(&program);
+    cc.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join(source));
+    cc.args(flags).arg("-lm");
+    run(&mut cc);
+    (folder, program)
+}
+
+fn started(program: &Path) -> Command {
+    let mut command = Command::new(program);
+    command.env("LD_LIBRARY_PATH", installed().join("lib"));
+    let leaks = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/leaks.txt");
+    let leaks = format!("print_suppressions=0:suppressions={}", leaks.display());
+    command.env("LSAN_OPTIONS", leaks);
+    command
+}
+
+/// Every program in every way it can be linked.
+fn each_way(source: &str, check: impl Fn(Command)) {
+    if !has("cc") || !has("pkg-config") {
+        eprintln!("SKIPPED: the C programs, for cc or pkg-config is missing");
+        return;
+    }
+    let sanitizer = ["-fsanitize=address", "-g"];
+    for linked in [Linked::Shared, Linked::Static] {
+        let (_folder, program) = compiled(source, linked, &[]);
+        check(started(&program));
+        if !has_sanitizer() {
+            eprintln!("SKIPPED: {source} under AddressSanitizer, which cc does not have");
+            continue;
+        }
+        let (_folder, program) = compiled(source, linked, &sanitizer);
+        check(started(&program));
+    }
+}
+
+fn has_sanitizer() -> bool {
+    static HAS: OnceLock<bool> = OnceLock::new();
+    *HAS.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("empty.c");
+        std::fs::write(&file, "int main(void) { return 0; }\n").unwrap();
+        let program = folder.path().join("empty");
+        let mut cc = Command::new("cc");
+        cc.arg("-fsanitize=address")
+            .arg(file)
+            .arg("-o")
+            .arg(&program);
+        let built = cc.output().is_ok_and(|output| output.status.success());
+        built && Command::new(program).status().is_ok_and(|s| s.success())
+    })
+}
+
+#[test]
+fn rays_are_cast() {
+    each_way("examples/cast.c", |mut program| {
+        let said = text(&run(&mut program));
+        assert!(said.contains("ray 2 meets nothing"), "{said}");
+        assert!(
+            said.ends_with(concat!("lasertrace ", env!("CARGO_PKG_VERSION"))),
+            "{said}"
+        );
+    });
+}
+
+/// The same frame from C, from Rust and from the command line.
+#[test]
+fn a_frame_is_to_the_byte_that_of_rust_and_of_the_command_line() {
+    const FRAME: u32 = 90;
+    let path = root().join("scenes/bracket/scene.toml");
+    let scene = lasertrace_core::Scene::load(&path).unwrap();
+    let simulation = lasertrace_core::Simulation::new(&scene).unwrap();
+    let rust = simulation.image(FRAME).to_rows();
+    assert!(rust.iter().any(|&count| count > 100), "the frame is dark");
+
+    let folder = tempfile::tempdir().unwrap();
+    let mut render = Command::new(target().join("lasertrace"));
+    render.args(["render", "--frame", &FRAME.to_string(), "-o"]);
+    run(render.arg(folder.path()).arg(&path));
+    let picture = image::open(folder.path().join(format!("frame-{FRAME:06}.png"))).unwrap();
+    let picture = picture.as_luma16().expect("16 bits of grey");
+    assert!(picture.as_raw()[..] == rust, "the command line's counts");
+
+    each_way("examples/frames.c", |mut program| {
+        let file = folder.path().join("counts.bin");
+        let numbers = [FRAME.to_string(), "2".to_owned()];
+        run(program.arg(&path).args(numbers).arg(&file));
+        let bytes = std::fs::read(&file).unwrap();
+        let counts: Vec<u16> = (bytes.as_chunks::<2>().0.iter())
+            .map(|&pair| u16::from_ne_bytes(pair))
+            .collect();
+        assert!(counts == rust, "C's counts");
+    });
+}
+
+/// To renew the table: `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test programs`.
+#[test]
+fn a_hostile_call_is_an_error() {
+    let folder = root().join("scenes/plane");
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
+    each_way("tests/hostile.c", |mut program| {
+        let output = run(program.arg(folder.join("scene.toml")).arg(&folder));
+        // Folders and addresses are not the same everywhere.
+        let said = text(&output).replace(&folder.display().to_string(), "FOLDER");
+        let table: Vec<String> = said.lines().map(row).collect();
+        let table = table.join("\n");
+        let page = std::fs::read_to_string(&readme).unwrap();
+        let head = "| call | status | message |\n|---|---|---|\n";
+        let (before, _) = page.split_once(head).expect("the table's head");
+        let renewed = format!("{before}{head}{table}\n");
+        if std::env::var_os("LASERTRACE_WRITE_PAGES").is_some() {
+            std::fs::write(&readme, &renewed).unwrap();
+        }
+        let page = std::fs::read_to_string(&readme).unwrap();
+        assert!(
+            page == renewed,
+            "bindings/c/README.md does not have this table:\n{table}\nrun \
+             `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test programs`"
+        );
+    });
+}
+
+/// A row without its addresses.
+fn row(line: &str) -> String {
+    let words = line.split(' ').map(|word| match word.starts_with("0x") {
+        true => "0x…",
+        false => word,
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
