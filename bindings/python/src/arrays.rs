@@ -238,7 +238,7 @@ pub fn zeros<T: Element>(py: Python<'_>, count: usize) -> PyResult<Bound<'_, PyA
 }
 
 /// The memory of an array that [`zeros`] made and nobody else has yet.
-pub fn fresh<'a, T: Element>(array: &'a Bound<'_, PyArray1<T>>) -> &'a mut [T] {
+pub fn fresh<'a, T: Element>(array: &'a mut Bound<'_, PyArray1<T>>) -> &'a mut [T] {
     // SAFETY: `zeros` made it, contiguous, and it was not handed out: this is the one
     // reference to its memory, which lives as long as the array.
     unsafe { array.as_slice_mut() }.expect("a new array is contiguous")

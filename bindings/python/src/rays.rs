@@ -140,8 +140,8 @@ impl RayCaster {
         let py = given.py();
         let (rows, shape) = Rows::read(given, name, width)?;
         let rows = rows.view();
-        let array = zeros::<T>(py, rows.len())?;
-        let out = fresh(&array);
+        let mut array = zeros::<T>(py, rows.len())?;
+        let out = fresh(&mut array);
         let done = match rows.len() <= CAST_ALONE {
             true => py.detach(|| cast(rows, out, &AtomicBool::new(false))),
             false => threads::run(py, self.threads, |stop| cast(rows, out, stop))?,

@@ -12,10 +12,11 @@ use std::time::Duration;
 /// How often Python is asked whether Ctrl-C was pressed.
 const LISTENS: Duration = Duration::from_millis(50);
 
+type Pools = HashMap<(u32, usize), Arc<ThreadPool>>;
+
 /// Pools by process and number of threads. They are shared, and never end: a process that
 /// Python forks has none of its parent's threads, and makes its own.
-static POOLS: LazyLock<Mutex<HashMap<(u32, usize), Arc<ThreadPool>>>> =
-    LazyLock::new(Mutex::default);
+static POOLS: LazyLock<Mutex<Pools>> = LazyLock::new(Mutex::default);
 
 /// As many threads as are wanted, at most those that the machine grants; all of them for
 /// `None`.

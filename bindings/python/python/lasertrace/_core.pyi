@@ -4,6 +4,7 @@ from typing import Any, Literal, TypedDict, final, type_check_only
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import disjoint_base
 
 __all__ = [
     "__version__", "Error", "FLAGS", "Scene", "Simulation", "Frames", "Frame", "RayCaster", "engine",
@@ -76,6 +77,7 @@ class Frame:
     @property
     def part_from_laser(self) -> NDArray[np.float64]: ...
 
+@disjoint_base
 class RayCaster:
     def __new__(
         cls,
