@@ -43,6 +43,12 @@ figures() {
         { before = $0 }' "$1"
 }
 
+# Of what a bench printed: rows of the page.
+ratios() {
+    sed -nE "s/^(.*): ([0-9.]+) \(median of ([0-9]+) pairs; quartiles (.*), (.*)\)$/\
+| $1 | \1 | \2 | \4 to \5 | \3 |/p" "$out/$1.txt"
+}
+
 . benches/conditions.sh
 
 if [ $# -eq 0 ]; then
@@ -57,12 +63,21 @@ if [ $# -eq 0 ]; then
         for bench in $benches; do
             echo "bench: $bench" >&2
             run . "$bench" "$out/$bench.txt"
-            sed -nE "s/^(.*): ([0-9.]+) \(median of ([0-9]+) pairs; quartiles (.*), (.*)\)$/\
-| $bench | \1 | \2 | \4 to \5 | \3 |/p" "$out/$bench.txt"
+            ratios "$bench"
         done
+        echo 'bench: through_c' >&2
+        cargo build --quiet --release -p lasertrace-c >&2
+        cargo bench --quiet -p lasertrace-c >"$out/through_c.txt"
+        ratios through_c
         for bench in $benches; do
             [ "$bench" != frame_over_embree ] || { echo; grep -E '^\||^frame over' "$out/$bench.txt"; }
         done
+        echo
+        echo '## Ray casting from Python, and its peers'
+        echo
+        echo 'Mrays/s against a sphere; obvhs and parry are in `lasertrace bench-bvh` (feature `race`).'
+        echo
+        bindings/python/bench.sh
         echo
         conditions
     } >"$out/page.md"
