@@ -332,7 +332,7 @@ fn check_scan_report_and_summary_say_the_same() {
     assert_eq!(summary["warnings"][1]["reason"], "above-range");
     assert_eq!(summary["warnings"][1]["message"], message);
     let report = fs::read_to_string(path.join("out/report.html")).unwrap();
-    let escaped = format!("{nothing} {message}");
+    let escaped = format!("{nothing} {message}").replace('\'', "&#39;");
     assert!(report.contains(&format!("<p class=\"lead\">{escaped}</p>")));
     for legend in [
         "Deviation from the CAD surface",
