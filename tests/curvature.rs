@@ -80,6 +80,8 @@ bit_depth = 16
 full_well_e = 130000
 [scan]
 poses = "poses.csv"
+[plan]
+blur = "none"
 "#,
             radius = self.radius,
             chord = CHORD * 1e3,

@@ -6,7 +6,7 @@ mod random;
 use glam::UVec2;
 use lasertrace::accel::{Accel, Clusters};
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::frame::{Grid, Patterns, Region, Sampling, Speckle, View, irradiance};
+use lasertrace::frame::{Grid, LensBlur, Patterns, Region, Sampling, Speckle, View, irradiance};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::Aperture;
 use lasertrace::math::{Aabb, DVec2, DVec3, Rigid};
@@ -16,9 +16,10 @@ use lasertrace::scene::Scene;
 use lasertrace::speckle::frame_field::{FrameFields, PupilPlace};
 use lasertrace::speckle::lookup::Coherence;
 use lasertrace::speckle::pattern::PatternSpec;
-use lasertrace::surface::Lambert;
+use lasertrace::surface::{Ggx, Glossy, Lambert, Lay, Lobe, Metal, Surface};
 use random::Random;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// All that a view borrows.
 struct Setup {
@@ -119,6 +120,7 @@ struct Part<'m> {
     accel: Accel,
     clusters: Clusters,
     fields: &'m FrameFields,
+    surface: Surface,
 }
 
 fn fields() -> FrameFields {
@@ -139,6 +141,7 @@ impl<'m> Part<'m> {
             accel: accel.with_copies(poses).unwrap(),
             clusters: Clusters::new(mesh),
             fields,
+            surface: Lambert { reflectance: 0.5 }.into(),
         }
     }
 
@@ -146,7 +149,7 @@ impl<'m> Part<'m> {
     fn compare(&self, setup: &Setup) -> (bool, usize) {
         let view = View {
             accel: &self.accel,
-            surface: Lambert { reflectance: 0.5 },
+            surface: self.surface.clone(),
             laser: &setup.laser,
             part_from_laser: setup.part_from_laser,
             camera: &setup.camera,
@@ -161,12 +164,14 @@ impl<'m> Part<'m> {
                 },
                 map: self.fields.map(2e-4, 60.0),
                 displacement: DVec2::new(0.3, -7.0),
+                wider: None,
             }),
             grid: Grid::Gauss {
                 per_side: setup.samples_per_side,
             },
             sampling: setup.sampling,
             cutoff_radii: setup.cutoff_radii,
+            lens: LensBlur::NONE,
         };
         same(
             &irradiance(&view, &Region::All).dense(),
@@ -242,6 +247,35 @@ fn random_scenes_are_the_same_to_the_bit() {
         // Both kinds are there.
         assert!(lit >= 20 && dark >= 3, "{name}: {lit} lit, {dark} dark");
     }
+}
+
+/// Brushed metal, whose light varies over pixels and over the pupil.
+#[test]
+fn random_scenes_of_metal_are_the_same_to_the_bit() {
+    let fields = fields();
+    let facets = Ggx {
+        along: 0.02,
+        across: 0.3,
+    };
+    let metal = Arc::new(Glossy {
+        lobes: vec![(1.0, Lobe::Metal(Metal::new(1.66, 7.8, facets)))],
+        lay: Some(Lay::About {
+            point: DVec3::ZERO,
+            axis: DVec3::Z,
+        }),
+    });
+    let mut lit = 0;
+    for (i, (name, mesh)) in parts().iter().enumerate() {
+        let mut part = Part::new(mesh, UNMOVED, &fields);
+        part.surface = Surface::Glossy(metal.clone());
+        for seed in 0..25 {
+            let mut random = Random::new(900_000 + 1000 * i as u64 + seed);
+            let (same, pixels) = part.compare(&Setup::random(&part.accel.bounds(), &mut random));
+            assert!(same, "{name}, seed {seed}");
+            lit += usize::from(pixels > 0);
+        }
+    }
+    assert!(lit >= 45, "{lit} lit");
 }
 
 /// Copies of each part, turned any way, that lie apart, touch and stand in each other.

@@ -118,14 +118,14 @@ const FORMATS: &[(&str, &str, &[u8])] = &[
         b"PK\x03\x04\x14\0\0\0",
     ),
     (
-        "glTF, text",
-        "a glTF scene",
+        "glTF without a scene",
+        "a file without a scene",
         b"{\"asset\": {\"version\": \"2.0\"}}",
     ),
     (
-        "glTF, binary",
-        "a file of the format GL Transmission Format Binary (GLB)",
-        b"glTF\x02\0\0\0\x0c\0\0\0",
+        "glTF of a version that is not read",
+        "glTF \"1.0\"",
+        b"{\"asset\": {\"version\": \"1.0\"}}",
     ),
     (
         "gzip",
@@ -525,8 +525,10 @@ fn too_little_memory_is_temporary() {
         for megabytes in [60, 90, 130, 180, 250, 350, 500, 700, 1000, 4000] {
             let limit = megabytes * 1000;
             let (code, _, stderr) = run(path, &format!("ulimit -v {limit}; lasertrace {command}"));
-            // 127: the program was not even loaded.
-            let fine = matches!(code, 0 | 75) || code == 127 && megabytes <= 130;
+            // Where it cannot even say its version, it was not loaded: with Debian 13's
+            // libraries there is a size at which one of them ends the program at its start.
+            let loads = || run(path, &format!("ulimit -v {limit}; lasertrace --version")).0 == 0;
+            let fine = matches!(code, 0 | 75) || megabytes <= 130 && !loads();
             assert!(fine, "{command} in {megabytes} MB: {code}\n{stderr}");
             assert!(code == 0 || !stderr.is_empty());
             codes.push(code);

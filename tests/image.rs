@@ -5,7 +5,7 @@ mod cameras;
 use glam::UVec2;
 use lasertrace::accel::Accel;
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::frame::{Grid, Region, Sampling, View, irradiance};
+use lasertrace::frame::{Grid, LensBlur, Region, Sampling, View, irradiance};
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
@@ -58,7 +58,8 @@ impl Setup {
             accel: &accel,
             surface: Lambert {
                 reflectance: REFLECTANCE,
-            },
+            }
+            .into(),
             laser: &self.laser,
             part_from_laser: self.part_from_laser,
             camera: &self.camera,
@@ -69,6 +70,7 @@ impl Setup {
             },
             sampling: Sampling::Planes,
             cutoff_radii: CUTOFF_RADII,
+            lens: LensBlur::NONE,
         };
         irradiance(&view, &Region::All).dense()
     }

@@ -118,6 +118,8 @@ quantum_efficiency = 0.5
 gain_dn_per_e = 1
 bit_depth = 16
 full_well_e = 65000
+[plan]
+blur = "none"
 [scan]
 start_mm = [0, {start}, 0]
 direction = [0, 1, 0]

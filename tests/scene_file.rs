@@ -17,6 +17,26 @@ fn assert_refused(text: &str, words: &[&str]) {
 /// What is changed in the scene, into what, and what the message then holds.
 const MISTAKES: &[(&str, &str, &str)] = &[
     (
+        "reflectance = 0.5",
+        "",
+        ":5: part: found [part], expected exactly one of reflectance and surface",
+    ),
+    (
+        "reflectance = 0.5",
+        "surface = { metal = { name = \"steel\", roughness = 0.2 } }",
+        ":7: part.surface.metal.name: found \"steel\", expected one of aluminium, copper, iron",
+    ),
+    (
+        "reflectance = 0.5",
+        "surface = { metal = { n = 1, k = 7, roughness = 0.2, roughness_across = 0.3 } }",
+        "part.surface: found",
+    ),
+    (
+        "reflectance = 0.5",
+        "surface = { coat = { index = 1.5, roughness = 0, reflectance = 0.5 } }",
+        ":7: part.surface.coat.roughness: found 0, expected a number from 1e-2 to 1e0",
+    ),
+    (
         "[scan]",
         "[accuracy]\nheight_um = -1\n[scan]",
         ": accuracy.height_um: found -1, expected a finite number > 0",

@@ -12,8 +12,8 @@ export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
-small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= ;;
-long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release ;;
+small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= bench='--profile test' times=2 ;;
+long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release bench= times=1.5 ;;
 *) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
 esac
 rows=$out/rows.md
@@ -73,6 +73,30 @@ else
     case $figure in [0-5]' of 17 rows outside') ;; *) met=no ;; esac
     row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
 fi
+
+name='lines out of focus against waves'
+goal='noise within 3 %, contrast within 0.02, mean line within 0.5 %; docs/lens.md'
+command='cargo run --release --example lens -- docs'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086
+    try lens $command
+    row "$name" "$(grep -c '| yes |' "$log") of 4 goals met" "$goal" "$met" "$command"
+fi
+
+name='a frame over what bare Embree takes for its rays'
+command="cargo bench $bench --features race --bench frame_over_embree"
+LASERTRACE_PAIRS=11
+export LASERTRACE_PAIRS
+# Processors differ by less than half; tests are built to start sooner, not to run as fast.
+was=$(sed -n 's/^frame over Embree: \([0-9.]*\).*/\1/p' docs/benchmarks.md)
+goal="at most $times times the $was of docs/benchmarks.md"
+# shellcheck disable=SC2086
+try frame $command
+figure=$(sed -n 's/^frame over Embree: \([0-9.]*\).*/\1/p' "$log")
+awk -v is="$figure" -v was="$was" -v times="$times" 'BEGIN { exit !(is > 0 && is <= times * was) }' || met=no
+row "$name" "$figure" "$goal" "$met" "LASERTRACE_PAIRS=11 $command"
 
 command='cargo test --test limits_mutated -- --nocapture'
 LASERTRACE_FUZZ_SECONDS=$seconds

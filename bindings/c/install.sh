@@ -26,6 +26,9 @@ install -m 644 "$folder/liblasertrace.a" "$prefix/lib/"
 # Programs ask for the first two numbers of the version (build.rs): a newer patch will do.
 soname=liblasertrace.so.${version%.*}
 install -m 755 "$folder/liblasertrace.so" "$prefix/lib/$soname"
+# What debuggers read is most of their size: 72 of 79 MB of the shared one.
+strip --strip-debug "$prefix/lib/liblasertrace.a" "$prefix/lib/$soname" ||
+    echo "install.sh: strip (apt-get install binutils) failed: the libraries keep what debuggers read" >&2
 ln -sf "$soname" "$prefix/lib/liblasertrace.so"
 sed -e "s|@PREFIX@|$prefix|; s|@VERSION@|$version|; s|-l@EMBREE@|${embree:+-l$embree}|" \
     "$here/lasertrace.pc.in" >"$prefix/lib/pkgconfig/lasertrace.pc"

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Prints a table of ray casting in Python beside its peers; see bench_rays.py. Makes a venv below
+# Prints a table of ray casting in Python beside its peers; see bench_rays.py. With --core, rays and
+# frames a second over the core's; see benches/through_python.rs. Makes a venv below
 # target/ with a release build of the package. Peers that PyPI does not give are skipped.
 set -eu
 cd "$(dirname "$0")"
@@ -18,4 +19,14 @@ for peer in trimesh embreex open3d; do
     $pip "$peer" >&2 || echo "bench.sh: $peer could not be installed" >&2
 done
 VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --release >&2
-"$venv/bin/python" bench_rays.py "$@"
+LASERTRACE_PYTHON=$venv/bin/python
+export LASERTRACE_PYTHON
+case ${1:-} in
+--core) cargo bench --quiet -p lasertrace-python ;;
+*)
+    LASERTRACE_PEERS=$(cargo bench -q -p lasertrace --features race --bench peers --no-run --message-format=json |
+        sed -n 's/.*"executable":"\([^"]*peers[^"]*\)".*/\1/p')
+    export LASERTRACE_PEERS
+    "$LASERTRACE_PYTHON" bench_rays.py "$@"
+    ;;
+esac

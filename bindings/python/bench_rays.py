@@ -2,6 +2,8 @@
 
 python bench_rays.py [RAYS]
 
+Peers in pure Rust are those of the program LASERTRACE_PEERS (benches/peers/main.rs), without it skipped.
+
 Prints a table (Markdown): Mrays/s on one thread and on all; rays at vertices and middles of
 edges of a closed mesh, from outside and inside, that a library loses; and hits that are off after the mesh and its rays
 are moved by 10⁴ of its size. Laps of the libraries alternate, and the best of each counts.
@@ -14,6 +16,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 
 import numpy as np
@@ -126,6 +129,31 @@ def trimesh(vertices, triangles):
     return cast
 
 
+class Rust:
+    """Peers in pure Rust on one mesh, in a program of their own: `names`, and casts by each. Their rays
+    are float32 with directions of length 1 before the clock starts."""
+
+    def __init__(self, vertices, triangles):
+        self.folder = tempfile.TemporaryDirectory()
+        self.write("vertices", vertices, "<f8")
+        self.write("triangles", triangles, "<u4")
+        command = [os.environ["LASERTRACE_PEERS"], self.folder.name]
+        self.program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.names = list(iter(lambda: self.program.stdout.readline().strip(), ""))
+
+    def write(self, name, array, kind):
+        array.astype(kind).tofile(os.path.join(self.folder.name, name))
+
+    def cast(self, name, rays, kind):
+        """Distances, whether anything was met, and seconds."""
+        if not os.path.exists(os.path.join(self.folder.name, kind)):
+            self.write(kind, rays, "<f8")
+        print(name, kind, file=self.program.stdin, flush=True)
+        seconds = float(self.program.stdout.readline())
+        distance = np.fromfile(os.path.join(self.folder.name, "distances"), "<f4").astype(float)
+        return distance, np.isfinite(distance), seconds
+
+
 PEERS = {
     "lasertrace, Embree": (ours("embree"), "lasertrace"),
     "lasertrace, Rust": (ours("rust"), "lasertrace"),
@@ -134,43 +162,65 @@ PEERS = {
 }
 
 
-def measure(count):
-    peers = {}
+def timed(cast):
+    """`cast`, which then also gives its seconds."""
+
+    def timed_cast(rays, _):
+        start = time.perf_counter()
+        answer = cast(rays)
+        return *answer, time.perf_counter() - start
+
+    return timed_cast
+
+
+def build_all(vertices, triangles):
+    """Casts by name, each of rays and the name of their kind."""
+    casts = {}
     for name, (build, module) in PEERS.items():
         try:
             importlib.import_module(module)
-            peers[name] = build
         except ImportError:
             print(f"SKIPPED: {name}: {module} is not installed", file=sys.stderr)
+            continue
+        casts[name] = timed(build(vertices, triangles))
+    if "LASERTRACE_PEERS" in os.environ:
+        rust = Rust(vertices, triangles)
+        for name in rust.names:
+            casts[name] = lambda rays, kind, name=name: rust.cast(name, rays, kind)
+    else:
+        print("SKIPPED: peers in Rust: bench.sh starts them", file=sys.stderr)
+    return casts
+
+
+def measure(count):
     vertices, triangles = sphere(300)
     sets = {"camera": camera_rays(count), "random": random_rays(count)}
     aimed = {
         place: at_vertices_and_edges(vertices, triangles, eye)
         for place, eye in [("outside", OUTSIDE), ("inside", INSIDE)]
     }
+    # A mesh of radius 1 within 10⁴ of its diameters from the origin.
+    away = np.array([2e4, 0, 0])
+    moved = sets["random"].copy()
+    moved[:, :3] += away
 
-    casts = {name: build(vertices, triangles) for name, build in peers.items()}
+    casts = build_all(vertices, triangles)
+    casts_away = build_all(vertices + away, triangles)
+    # What is right: our own tree in float64, on the moved numbers.
+    right, right_met = ours("rust")(vertices + away, triangles)(moved)
     best = {(name, kind): np.inf for name in casts for kind in sets}
     for _ in range(LAPS):
         for name, kind in best:
-            start = time.perf_counter()
-            casts[name](sets[kind])
-            best[name, kind] = min(best[name, kind], time.perf_counter() - start)
+            seconds = casts[name](sets[kind], kind)[2]
+            best[name, kind] = min(best[name, kind], seconds)
     table = {}
-    for name, build in peers.items():
+    for name, cast in casts.items():
         lost, off = {}, {}
         for place, at in aimed.items():
-            distance, met = casts[name](at)
+            distance, met, _ = cast(at, place)
             lost[place] = f"{(~met).sum()} of {len(at)}"
             off[place] = int((met & ~(np.abs(distance - 1) < 1e-6)).sum())
-        # A mesh of radius 1 within 10⁴ of its diameters from the origin.
-        away = np.array([2e4, 0, 0])
-        cast = build(vertices + away, triangles)
-        moved = sets["random"].copy()
-        moved[:, :3] += away
-        # What is right: our own tree in float64, on the moved numbers.
-        right, right_met = ours("rust")(vertices + away, triangles)(moved)
-        far, far_met = cast(moved)
+        far, far_met, _ = casts_away[name](moved, "moved")
         with np.errstate(invalid="ignore"):
             apart = np.abs(far - right) * np.linalg.norm(moved[:, 3:], axis=1) > 1e-6
         wrong = (far_met != right_met) | (far_met & right_met & apart)

@@ -34,5 +34,11 @@ VIRTUAL_ENV=$venv PATH="$venv/bin:$PATH" maturin develop -q --skip-install
 export PYTHONPATH="$PWD/python"
 LASERTRACE=$target/debug/lasertrace \
     "$venv/bin/python" -X dev -W error::RuntimeWarning -m unittest discover -s tests "$@"
+# The stubs say what the package has.
+if "$venv/bin/pip" -q --disable-pip-version-check --retries 1 install mypy; then
+    (cd "$target" && "$venv/bin/python" -m mypy.stubtest lasertrace --concise)
+else
+    echo "bindings/python/test.sh: SKIPPED, the type stubs are NOT tested: pip could not install mypy" >&2
+fi
 "$venv/bin/python" examples/cast_rays.py 100000
 "$venv/bin/python" examples/dataset.py "$target/python-dataset" 2

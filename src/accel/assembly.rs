@@ -190,11 +190,22 @@ impl Accel {
         some: u16,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
+        self.trace(rays, some, false, wanted)
+    }
+
+    /// The same of rays that start outside the part, or `anywhere`.
+    pub(super) fn trace(
+        &self,
+        rays: &[Ray],
+        some: u16,
+        anywhere: bool,
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
         match &self.copies {
-            None => self.hierarchy.closest(rays, some, wanted),
+            None => self.hierarchy.closest(rays, some, anywhere, wanted),
             Some(copies) => {
                 let wanted = |i: usize, t| some >> i & 1 == 1 && wanted(i, t);
-                self.closest_of(copies, rays, wanted)
+                self.closest_of(copies, rays, anywhere, wanted)
             }
         }
     }
@@ -203,6 +214,7 @@ impl Accel {
         &self,
         copies: &Copies,
         rays: &[Ray],
+        anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
         let nothing = Met {
@@ -222,13 +234,15 @@ impl Accel {
                 ray.t_max = ray.t_max.min(met[local.of[k]].t + slack);
             }
             let unwanted = [const { Cell::new(f64::INFINITY) }; WIDTH];
-            let hits = self.hierarchy.closest(local.rays(), u16::MAX, |k, t| {
-                let wanted = wanted(local.of[k], t);
-                if !wanted {
-                    unwanted[k].set(t);
-                }
-                wanted
-            });
+            let hits = self
+                .hierarchy
+                .closest(local.rays(), u16::MAX, anywhere, |k, t| {
+                    let wanted = wanted(local.of[k], t);
+                    if !wanted {
+                        unwanted[k].set(t);
+                    }
+                    wanted
+                });
             for (k, &i) in local.of().iter().enumerate() {
                 // Of a hit that is not wanted it still counts that it hides others.
                 let hit = hits[k].filter(|hit| hit.t <= unwanted[k].get());

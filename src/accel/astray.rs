@@ -11,6 +11,11 @@
 //! stands beside it. So a mesh that is wound inward or open costs more where its backs
 //! are seen. What an open mesh loses altogether is not found: asking again for every ray
 //! that meets nothing would double their cost.
+//!
+//! Of a ray that starts inside the material the same is true with the sides exchanged: it is
+//! asked again if it meets a front, or nothing. Rays that start outside the mesh's box do not
+//! start inside; of others ([`super::Accel::closest_hits`]; those of the simulator start
+//! outside the part) one more ray from their origin tells.
 
 use super::embree::Tree;
 use super::part_box::{PartBox, Side};
@@ -28,6 +33,7 @@ const AROUND: usize = 3;
 const PASSED: usize = 16;
 
 /// A hit that f32 reports.
+#[derive(Clone, Copy)]
 pub(super) struct Doubt {
     /// Number in its packet.
     pub ray: usize,
@@ -36,43 +42,64 @@ pub(super) struct Doubt {
     pub t: f64,
 }
 
+impl Doubt {
+    pub const NONE: Doubt = Doubt {
+        ray: 0,
+        triangle: 0,
+        t: 0.0,
+    };
+
+    /// That of a ray which meets nothing and should.
+    pub fn of_nothing(number: usize, ray: &Ray) -> Doubt {
+        Doubt {
+            ray: number,
+            triangle: u32::MAX,
+            t: ray.t_max,
+        }
+    }
+}
+
 /// The rays of a packet in doubt.
 #[derive(Default)]
 pub(super) struct Doubts {
     /// Those that in f64 pass the triangle.
     pub passed: SmallVec<[Doubt; WIDTH]>,
-    /// Those that meet its back.
-    pub backs: SmallVec<[Doubt; WIDTH]>,
+    /// Those that meet the side of it which cannot be the first they meet.
+    pub astray: SmallVec<[Doubt; WIDTH]>,
 }
 
 impl Doubts {
     pub fn is_empty(&self) -> bool {
-        self.passed.is_empty() && self.backs.is_empty()
+        self.passed.is_empty() && self.astray.is_empty()
     }
 
     /// Calls `found` with what each ray in doubt meets, if anything: last of a ray with
-    /// what holds.
+    /// what holds. `inside`, as bits: those that start inside the mesh.
     #[cold]
     pub fn settle(
-        mut self,
+        &mut self,
         tree: &Tree,
         part: &PartBox,
         rays: &[Ray],
+        inside: u16,
         mut found: impl FnMut(usize, Option<Hit>),
     ) {
-        for doubt in self.passed {
+        for doubt in self.passed.drain(..) {
             let ray = doubt.ray;
-            self.backs.retain(|back| back.ray != ray);
+            self.astray.retain(|other| other.ray != ray);
             let hit = beyond(tree, part, &rays[ray], doubt.triangle, doubt.t);
             found(ray, hit);
-            if let Some(Hit { t, face, .. }) = hit
-                && is_back(tree, &rays[ray], face.triangle)
-            {
-                let triangle = face.triangle;
-                self.backs.push(Doubt { ray, triangle, t });
+            let inside = inside >> ray & 1 == 1;
+            match hit {
+                None if inside => self.astray.push(Doubt::of_nothing(ray, &rays[ray])),
+                Some(hit) if is_back(tree, &rays[ray], hit.face.triangle) != inside => {
+                    let (triangle, t) = (hit.face.triangle, hit.t);
+                    self.astray.push(Doubt { ray, triangle, t });
+                }
+                _ => {}
             }
         }
-        seek(tree, part, rays, &self.backs, |ray, hit| {
+        seek(tree, part, rays, inside, &self.astray, |ray, hit| {
             found(ray, Some(hit))
         });
     }
@@ -132,24 +159,27 @@ fn near(tree: &Tree, part: &PartBox, ray: &Ray, triangle: u32, t: f64) -> Option
     best
 }
 
-/// Calls `found` with the front, if there is one, that a ray has lost before it met a back.
+/// Calls `found` with what a ray has lost before what it seems to meet, if there is
+/// something: a front, or of one that starts inside a back.
 /// A ray beside one counts for it only where the one itself meets the same plane
-/// within [`PartBox::resolution`] of the triangle. Of such fronts one that the ray meets
-/// in f64 is taken; if there is none, a gap in the mesh that f32 does not see, the first.
+/// within [`PartBox::resolution`] of the triangle. Of such triangles one that the ray meets
+/// in f64 is taken; if there is none, of fronts, a gap in the mesh that f32 does not see, the
+/// first.
 fn seek(
     tree: &Tree,
     part: &PartBox,
     rays: &[Ray],
-    backs: &[Doubt],
+    inside: u16,
+    astray: &[Doubt],
     mut found: impl FnMut(usize, Hit),
 ) {
     let aside = part.resolution() / 2.0;
     let first = |a: &Hit, b: &Hit| a.t.total_cmp(&b.t).then(a.face.cmp(&b.face));
-    for backs in backs.chunks(WIDTH / AROUND) {
+    for astray in astray.chunks(WIDTH / AROUND) {
         let mut beside = [rays[0]; WIDTH];
         let mut count = 0;
-        for back in backs {
-            let ray = rays[back.ray];
+        for doubt in astray {
+            let ray = rays[doubt.ray];
             let (x, y) = ray.direction.any_orthonormal_pair();
             for (u, v) in [(1.0, 0.2), (-0.673, 0.766), (-0.327, -0.966)] {
                 beside[count] = ray;
@@ -157,32 +187,31 @@ fn seek(
                 count += 1;
             }
         }
-        let mut fronts = [None; WIDTH];
+        let is_inside = |doubt: &Doubt| inside >> doubt.ray & 1 == 1;
+        let mut lost = [None; WIDTH];
         tree.closest(&beside[..count], u16::MAX, part, |k, triangle, t, side| {
-            let back = &backs[k / AROUND];
+            let doubt = &astray[k / AROUND];
             // At a sharp edge f32 may take the back for the nearer.
-            if side == Side::Front && t < back.t + part.resolution() {
+            if (side == Side::Back) == is_inside(doubt) && t < doubt.t + part.resolution() {
                 let corners = tree.mesh().triangle(triangle as usize);
-                fronts[k] = refine(
-                    &rays[back.ray],
-                    triangle,
-                    corners,
-                    t,
-                    part.final_tolerance(),
-                )
-                .hit();
+                let tolerance = part.final_tolerance();
+                lost[k] = refine(&rays[doubt.ray], triangle, corners, t, tolerance).hit();
             }
         });
-        for (back, fronts) in backs.iter().zip(fronts.chunks(AROUND)) {
-            let ray = &rays[back.ray];
-            let fronts = || fronts.iter().flatten();
-            let exact = fronts()
-                .filter_map(|front| near(tree, part, ray, front.face.triangle, front.t))
-                .filter(|hit| !is_back(tree, ray, hit.face.triangle))
+        for (doubt, lost) in astray.iter().zip(lost.chunks(AROUND)) {
+            let ray = &rays[doubt.ray];
+            let lost = || lost.iter().flatten();
+            let exact = lost()
+                .filter_map(|lost| near(tree, part, ray, lost.face.triangle, lost.t))
+                .filter(|hit| is_back(tree, ray, hit.face.triangle) == is_inside(doubt))
                 .min_by(first);
-            let before = || fronts().filter(|front| front.t < back.t).copied();
+            // Whether a ray starts inside may be wrong on the surface itself.
+            let before = || {
+                let fronts = lost().filter(|_| !is_inside(doubt));
+                fronts.filter(|front| front.t < doubt.t).copied()
+            };
             if let Some(hit) = exact.or_else(|| before().min_by(first)) {
-                found(back.ray, hit);
+                found(doubt.ray, hit);
             }
         }
     }

@@ -173,7 +173,7 @@ impl Accel {
                 ..*ray
             };
         }
-        let mut hits = self.closest(&further[..rays.len()], |_, _| true);
+        let mut hits = self.trace(&further[..rays.len()], u16::MAX, true, |_, _| true);
         for ((hit, further), ray) in hits.iter_mut().zip(&further).zip(rays) {
             if hit.is_some_and(|hit| hit.t < 0.0) {
                 *hit = match hit.filter(|hit| hit.t >= -rounding) {
@@ -200,7 +200,7 @@ impl Accel {
                 t_max: ray.t_max - passed,
                 ..*ray
             };
-            let hit = self.closest(&[onward], |_, _| true)[0]?;
+            let hit = self.trace(&[onward], u16::MAX, true, |_, _| true)[0]?;
             let t = hit.t + passed;
             if t >= 0.0 {
                 return Some(Hit { t, ..hit });

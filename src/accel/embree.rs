@@ -4,7 +4,7 @@
 #![allow(unsafe_code)]
 
 use super::embree_device::{Device, ffi};
-use super::part_box::{PartBox, Side};
+use super::part_box::{PartBox, Side, Together};
 use super::quads::Quads;
 use super::refine::nearest_on_triangle;
 use super::{Face, Nearest, Ray, WIDTH};
@@ -12,6 +12,7 @@ use crate::error::{Error, Result};
 use crate::math::DVec3;
 use crate::mesh::{Mesh, Watch};
 use rayon::prelude::*;
+use smallvec::SmallVec;
 use std::ffi::c_void;
 use std::mem::MaybeUninit;
 use std::sync::{Arc, Mutex};
@@ -163,32 +164,27 @@ impl Tree {
         packets.filter(|bits| bits & some != 0).sum()
     }
 
-    fn pack(rays: &[Ray], some: u16, part: &PartBox) -> (Valid, ffi::RTCRay16, [f64; WIDTH]) {
+    /// Fills a packet, in place since a copy of it takes time.
+    fn pack(
+        rays: &[Ray],
+        some: u16,
+        part: &PartBox,
+        together: &Together,
+        packet: &mut ffi::RTCRay16,
+    ) -> (Valid, [f64; WIDTH]) {
         assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
         let mut valid = Valid([0; WIDTH]);
         let mut advanced = [0.0; WIDTH];
-        let mut packet = ffi::RTCRay16 {
-            org_x: [0.0; WIDTH],
-            org_y: [0.0; WIDTH],
-            org_z: [0.0; WIDTH],
-            tnear: [0.0; WIDTH],
-            dir_x: [0.0; WIDTH],
-            dir_y: [0.0; WIDTH],
-            dir_z: [1.0; WIDTH],
-            time: [0.0; WIDTH],
-            tfar: [-1.0; WIDTH],
-            mask: [u32::MAX; WIDTH],
-            id: [0; WIDTH],
-            flags: [0; WIDTH],
-        };
-        let together = part.approach(rays);
+        packet.dir_z = [1.0; WIDTH];
+        packet.tfar = [-1.0; WIDTH];
+        packet.mask = [u32::MAX; WIDTH];
         for (i, ray) in rays.iter().enumerate() {
             if some >> i & 1 == 0 {
                 continue;
             }
             // Which of the rays that are advanced together miss the box the hierarchy
             // finds out for less.
-            let inside = match together {
+            let inside = match together.approach {
                 Some(distance) => part.advanced(ray, distance, ray.t_max),
                 None => match part.inside(ray) {
                     Some(inside) => inside,
@@ -202,7 +198,7 @@ impl Tree {
             (packet.dir_x[i], packet.dir_y[i], packet.dir_z[i]) = direction.into();
             packet.tfar[i] = inside.length as f32;
         }
-        (valid, packet, advanced)
+        (valid, advanced)
     }
 
     pub(super) fn mesh(&self) -> &Mesh {
@@ -219,13 +215,11 @@ impl Tree {
         part: &PartBox,
         mut found: impl FnMut(usize, u32, f64, Side),
     ) {
-        let (valid, ray, advanced) = Tree::pack(rays, self.beside(some), part);
-        let mut packet = ffi::RTCRayHit16 {
-            ray,
-            // SAFETY: RTCHit16 is floats and integers, for which all-zero bytes
-            // are values; Embree reads only geomID, set below.
-            hit: unsafe { std::mem::zeroed() },
-        };
+        let together = part.together(rays);
+        // SAFETY: RTCRayHit16 is floats and integers, for which all-zero bytes are values.
+        let mut packet: ffi::RTCRayHit16 = unsafe { std::mem::zeroed() };
+        let some = self.beside(some);
+        let (valid, advanced) = Tree::pack(rays, some, part, &together, &mut packet.ray);
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
@@ -233,7 +227,10 @@ impl Tree {
             ffi::lt_intersect16(
                 self.scene,
                 true,
-                self.device.packet,
+                match together.coherent {
+                    true => self.device.packet,
+                    false => 1,
+                },
                 valid.0.as_ptr(),
                 &mut packet,
             )
@@ -255,9 +252,45 @@ impl Tree {
         }
     }
 
+    /// Which rays start inside the mesh, as bits: those from whose origin the first thing in
+    /// some direction is a back. Wrong of an origin that is on the surface to f32's last
+    /// digits, and without a meaning for open meshes.
+    pub(super) fn starting_inside(&self, rays: &[Ray], part: &PartBox) -> u16 {
+        // Any that parts and rays do not have for a reason of their own.
+        const SOMEWHERE: DVec3 = DVec3::new(0.324_717_957, 0.430_159_709, 0.842_330_621);
+        let mut probes: SmallVec<[Ray; WIDTH]> = SmallVec::new();
+        let mut asked: SmallVec<[(usize, usize); WIDTH]> = SmallVec::new();
+        for (i, ray) in rays.iter().enumerate() {
+            let bounds = part.bounds;
+            if ray.origin.cmplt(bounds.min).any() || ray.origin.cmpgt(bounds.max).any() {
+                continue;
+            }
+            if probes.last().is_none_or(|probe| probe.origin != ray.origin) {
+                probes.push(Ray {
+                    direction: SOMEWHERE,
+                    t_max: f64::INFINITY,
+                    ..*ray
+                });
+            }
+            asked.push((i, probes.len() - 1));
+        }
+        if probes.is_empty() {
+            return 0;
+        }
+        let mut backs = 0;
+        self.closest(&probes, u16::MAX, part, |i, _, _, side| {
+            backs |= u16::from(side == Side::Back) << i;
+        });
+        let bits = asked.iter().map(|&(i, probe)| (backs >> probe & 1) << i);
+        bits.sum()
+    }
+
     /// Whether each of up to 16 coherent rays meets anything, as bits.
     pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
-        let (valid, mut packet, _) = Tree::pack(rays, u16::MAX, part);
+        let together = part.together(rays);
+        // SAFETY: as in `closest`.
+        let mut packet: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
+        let (valid, _) = Tree::pack(rays, u16::MAX, part, &together, &mut packet);
         // SAFETY: as in `closest`.
         unsafe {
             ffi::lt_occluded16(

@@ -34,7 +34,10 @@ fn embree_writes_nothing_past_its_structs() {
     let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(&mesh.clone().into(), &part, 1, &|_| Ok(())).unwrap();
     let rays = rays_at(&mesh, WIDTH as u64);
-    let (valid, ray, _) = Tree::pack(&rays, u16::MAX, &part);
+    // SAFETY: all-zero bytes are valid floats and integers.
+    let mut ray: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
+    let together = part.together(&rays);
+    let (valid, _) = Tree::pack(&rays, u16::MAX, &part, &together, &mut ray);
     let mut closest = Guarded {
         value: ffi::RTCRayHit16 {
             ray,
@@ -51,13 +54,15 @@ fn embree_writes_nothing_past_its_structs() {
     let width = tree.device.packet;
     // SAFETY: scene live and committed, structs aligned to 64 bytes.
     unsafe {
-        ffi::lt_intersect16(
-            tree.scene,
-            true,
-            width,
-            valid.0.as_ptr(),
-            &mut closest.value,
-        );
+        for width in [width, 1] {
+            ffi::lt_intersect16(
+                tree.scene,
+                true,
+                width,
+                valid.0.as_ptr(),
+                &mut closest.value,
+            );
+        }
         ffi::lt_occluded16(
             tree.scene,
             true,

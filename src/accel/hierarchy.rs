@@ -8,7 +8,7 @@ use super::part_box::PartBox;
 use super::part_box::Side;
 #[cfg(feature = "embree")]
 use super::refine::Refined;
-use super::refine::{Tolerance, nearest_on_triangle, refine};
+use super::refine::{nearest_on_triangle, refine};
 use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
 #[cfg(feature = "embree")]
 use super::{embree, embree_device};
@@ -120,48 +120,72 @@ impl Hierarchy {
         &self.part
     }
 
-    /// See [`super::Accel::closest`] and [`super::Accel::closest_some`].
+    /// See [`super::Accel::closest`] and [`super::Accel::closest_some`]. `anywhere`: rays
+    /// may start inside the part, or else none that matters does.
     pub fn closest(
         &self,
         rays: &[Ray],
         some: u16,
+        anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
         let mut hits = [None; WIDTH];
-        let refined = |i: usize, triangle: u32, t: f64, tolerance: Tolerance| {
-            let corners = self.mesh.triangle(triangle as usize);
-            refine(&rays[i], triangle, corners, t, tolerance)
-        };
+        #[cfg(not(feature = "embree"))]
+        let _ = anywhere;
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
                 let wanted = |ray: usize, t: f64| some >> ray & 1 == 1 && wanted(ray, t);
+                let inside = match anywhere {
+                    true => tree.starting_inside(rays, &self.part) & some,
+                    false => 0,
+                };
                 // By the packets of rays that are traced together.
                 let mut doubts: [Doubts; PACKETS] = Default::default();
+                let (mut met, mut count) = ([Doubt::NONE; WIDTH], 0);
+                let mut lost = inside;
                 tree.closest(rays, some, &self.part, |ray, triangle, t, side| {
-                    let doubts = &mut doubts[ray / tree.together()];
-                    if side == Side::Back {
-                        doubts.backs.push(Doubt { ray, triangle, t });
+                    let doubt = Doubt { ray, triangle, t };
+                    lost &= !(1 << ray);
+                    if (side == Side::Back) != (inside >> ray & 1 == 1) {
+                        doubts[ray / tree.together()].astray.push(doubt);
                     }
-                    if !wanted(ray, t) {
-                        return;
+                    if wanted(ray, t) {
+                        met[count] = doubt;
+                        count += 1;
                     }
-                    let refined = refined(ray, triangle, t, self.part.tolerance());
+                });
+                for ray in (0..rays.len()).filter(|ray| lost >> ray & 1 == 1) {
+                    let nothing = Doubt::of_nothing(ray, &rays[ray]);
+                    doubts[ray / tree.together()].astray.push(nothing);
+                }
+                // All are read before the first is looked at: a packet waits for memory
+                // once then, and not once a ray.
+                let mut corners = [[DVec3::ZERO; 3]; WIDTH];
+                for (corners, met) in corners.iter_mut().zip(&met[..count]) {
+                    *corners = self.mesh.triangle(met.triangle as usize);
+                }
+                for (&Doubt { ray, triangle, t }, corners) in met[..count].iter().zip(corners) {
+                    let tolerance = self.part.tolerance();
+                    let refined = refine(&rays[ray], triangle, corners, t, tolerance);
                     hits[ray] = refined.hit();
                     if !matches!(refined, Refined::On(_)) {
                         let t = hits[ray].map_or(t, |hit: Hit| hit.t);
+                        let doubts = &mut doubts[ray / tree.together()];
                         doubts.passed.push(Doubt { ray, triangle, t });
                     }
-                });
-                for doubts in doubts.into_iter().filter(|doubts| !doubts.is_empty()) {
-                    doubts.settle(tree, &self.part, rays, |ray, hit| {
+                }
+                for doubts in doubts.iter_mut().filter(|doubts| !doubts.is_empty()) {
+                    doubts.settle(tree, &self.part, rays, inside, |ray, hit| {
                         hits[ray] = hit.filter(|hit| wanted(ray, hit.t));
                     });
                 }
             }
             Tree::Rust(tree) => tree.closest(rays, &self.part, |i, triangle, t| {
                 if some >> i & 1 == 1 && wanted(i, t) {
-                    hits[i] = refined(i, triangle, t, self.part.final_tolerance()).hit();
+                    let corners = self.mesh.triangle(triangle as usize);
+                    let tolerance = self.part.final_tolerance();
+                    hits[i] = refine(&rays[i], triangle, corners, t, tolerance).hit();
                 }
             }),
         }

@@ -203,7 +203,7 @@ fn slips_between_none(hierarchy: &Hierarchy) {
                 continue;
             }
             aimed += 1;
-            let hit = hierarchy.closest(&[ray], 1, |_, _| true)[0];
+            let hit = hierarchy.closest(&[ray], 1, false, |_, _| true)[0];
             let hit = hit.unwrap_or_else(|| panic!("{ray:?} misses {target}"));
             assert!(hit.point.distance(target) < 1e-9, "{hit:?} {target}");
             assert_eq!(hierarchy.occluded(&[ray]), 1, "{ray:?}");

@@ -21,6 +21,22 @@ pub(super) struct Inside {
     pub length: f64,
 }
 
+/// What rays of a packet have in common.
+#[cfg(feature = "embree")]
+pub(super) struct Together {
+    /// Whether they run so close to each other through the box that they are best traced
+    /// as one packet.
+    pub coherent: bool,
+    /// A distance, mm, by which all may be advanced; see [`PartBox::approach`].
+    pub approach: Option<f64>,
+}
+
+/// Rays that stay within a box of this many half sizes of the part are traced as a packet, in which
+/// Embree asks a node for all of them; others each by itself. Where the two take the same
+/// time on spheres of 500, 14 000 and 358 000 triangles: 0.7, 0.35, 0.25.
+#[cfg(feature = "embree")]
+const COHERENT: f64 = 0.25;
+
 impl PartBox {
     pub fn new(bounds: Aabb) -> PartBox {
         PartBox {
@@ -85,19 +101,37 @@ impl PartBox {
         (enter <= leave).then_some((enter, leave))
     }
 
-    /// A distance, mm, after which none of the rays from one point is further than an
-    /// eighth of the half size before the box, and none past where it enters. `None` if
-    /// there is no such distance, or the rays start at different points.
+    /// See [`Together`]. By all rays of a packet and in f64, so that it depends neither on
+    /// which of them are asked for nor on the machine's vectors.
     #[cfg(feature = "embree")]
-    pub fn approach(&self, rays: &[Ray]) -> Option<f64> {
-        let start = rays.first()?.origin;
+    pub fn together(&self, rays: &[Ray]) -> Together {
+        let start = rays.first().map_or(self.center, |ray| ray.origin);
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let mut one_start = true;
         for ray in rays {
-            if ray.origin != start {
-                return None;
-            }
+            one_start &= ray.origin == start;
             (low, high) = (low.min(ray.direction), high.max(ray.direction));
         }
+        let half = (self.bounds.size() / 2.0).max_element();
+        // Behind the part no ray is wanted.
+        let reach = start.distance(self.center) + self.bounds.size().length() / 2.0;
+        let mut spread = (high - low) * reach;
+        if !one_start {
+            let starts = || rays.iter().map(|ray| ray.origin);
+            let (low, high) = (starts().reduce(DVec3::min), starts().reduce(DVec3::max));
+            spread += high.unwrap_or(start) - low.unwrap_or(start);
+        }
+        Together {
+            coherent: spread.max_element() <= COHERENT * half,
+            approach: one_start.then(|| self.approach(start, low, high)).flatten(),
+        }
+    }
+
+    /// A distance, mm, after which none of the rays from one point, whose directions are
+    /// from `low` to `high`, is further than an eighth of the half size before the box, and
+    /// none past where it enters. `None` if there is no such distance.
+    #[cfg(feature = "embree")]
+    fn approach(&self, start: DVec3, low: DVec3, high: DVec3) -> Option<f64> {
         let margin = DVec3::splat(2.0 * self.resolution());
         let (below, above) = (
             self.bounds.min - margin - start,

@@ -10,6 +10,7 @@ mod chief_rays;
 mod counts;
 mod dark;
 mod distortion;
+mod grain_extent;
 mod lens;
 mod model;
 mod sensor;
@@ -18,6 +19,7 @@ pub use chief_rays::ChiefRays;
 pub use counts::Counts;
 pub use dark::DarkCounts;
 pub use distortion::Distortion;
+pub use grain_extent::GrainExtent;
 pub use lens::Lens;
 pub use model::{CameraModel, Projector};
 pub use sensor::{Noise, Sensor};
@@ -51,7 +53,7 @@ impl Camera {
         }
     }
 
-    fn sensor_axes(&self) -> DMat3 {
+    pub(crate) fn sensor_axes(&self) -> DMat3 {
         self.model().sensor_axes()
     }
 

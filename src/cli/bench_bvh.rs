@@ -6,11 +6,11 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Mesh file (STL, OBJ or PLY)
+    /// Mesh file (STL, OBJ, PLY, glTF or 3MF)
     mesh: PathBuf,
-    /// Unit of the file's coordinates
+    /// Unit of the file's coordinates; 3MF and glTF (metres) need none
     #[arg(long, value_enum)]
-    unit: Unit,
+    unit: Option<Unit>,
     /// Rays of each kind
     #[arg(long, value_name = "N", default_value_t = 1 << 18, value_parser = clap::value_parser!(u32).range(1..))]
     rays: u32,
@@ -40,7 +40,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         rounds: arguments.rounds.into(),
         seconds: arguments.seconds.into(),
     };
-    let mesh = crate::mesh::load(&arguments.mesh, arguments.unit.mm())?;
+    let mesh = crate::mesh::load(&arguments.mesh, arguments.unit.map(Unit::mm))?;
     let bar = output.progress(effort.steps() as u64, "builds and rounds");
     let control = Control {
         progress: &|done| bar.set_position(done),
@@ -66,15 +66,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 /// The rivals are not among the program's dependencies, so this one cannot race.
 #[cfg(not(feature = "race"))]
 pub fn run(arguments: Arguments, _: &Output) -> Result<()> {
-    use clap::ValueEnum;
-
-    let unit = arguments.unit.to_possible_value();
+    let unit = arguments.unit.map(|unit| format!(" --unit {unit}"));
     Err(crate::error::Error::Usage(format!(
         "bench-bvh races against crates that lasertrace itself does without, and this \
          program was built without them; in lasertrace's folder, run:\n\
-         cargo run --release --features race -- bench-bvh {} --unit {} --rays {} --rounds {} --seconds {} -o {}",
+         cargo run --release --features race -- bench-bvh {}{} --rays {} --rounds {} --seconds {} -o {}",
         path(&arguments.mesh),
-        unit.expect("no unit is hidden").get_name(),
+        unit.unwrap_or_default(),
         arguments.rays,
         arguments.rounds,
         arguments.seconds,

@@ -12,6 +12,7 @@ use crate::report::chart::short;
 use crate::run::Checked;
 use crate::run::Forecast;
 use crate::scene::{Motion, Moves, Scene};
+use crate::surface::{Ggx, Lobe, Surface};
 use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
 use std::fmt::Write;
@@ -107,7 +108,37 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
         let copies = scene.copies.len();
         text += &line("copies", &format!("{copies}, together {x} × {y} × {z} mm"));
     }
-    text + &line("reflectance", &short(scene.surface.reflectance))
+    text + &surface(&scene.surface)
+}
+
+fn surface(surface: &Surface) -> String {
+    let glossy = match surface {
+        Surface::Lambert(matt) => return line("reflectance", &short(matt.reflectance)),
+        Surface::Glossy(glossy) => glossy,
+    };
+    let rough = |facets: &Ggx| match facets.is_isotropic() {
+        true => format!("roughness {}", short(facets.along)),
+        false => {
+            let (along, across) = (short(facets.along), short(facets.across));
+            format!("roughness {along} along the lay, {across} across it")
+        }
+    };
+    let words = |(share, lobe): &(f64, Lobe)| {
+        let what = match lobe {
+            Lobe::Matt(matt) => format!("matt, reflectance {}", short(matt.reflectance)),
+            Lobe::Metal(metal) => {
+                let (n, k) = (short(metal.n), short(metal.k));
+                format!("metal of n = {n}, k = {k}, {}", rough(&metal.facets))
+            }
+            Lobe::Coat(coat) => {
+                let (index, reflectance) = (short(coat.index), short(coat.reflectance));
+                let rough = rough(&coat.facets);
+                format!("coat of n = {index}, {rough}, over reflectance {reflectance}")
+            }
+        };
+        line("surface", &format!("{} of it {what}", short(*share)))
+    };
+    glossy.lobes.iter().map(words).collect()
 }
 
 fn sensor(scene: &Scene, checked: &Checked) -> String {

@@ -6,6 +6,7 @@ mod chart;
 mod check;
 mod complaint;
 mod manual;
+mod merge;
 mod peaks;
 mod render;
 mod scan;
@@ -58,6 +59,8 @@ enum Command {
     Render(render::Arguments),
     /// Run the whole scan: point cloud, deviation from CAD, report
     Scan(scan::Arguments),
+    /// Make one scan of its shards' frames (scan --shard)
+    Merge(merge::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
     /// Chart accuracy against speed: each combination of methods, on frames of the scene
@@ -223,7 +226,7 @@ pub fn run() -> u8 {
     };
     let complaints = complaint::Complaints {
         json: cli.json,
-        resumable: matches!(cli.command, Command::Scan(_)),
+        resumable: matches!(&cli.command, Command::Scan(scan) if !scan.is_shard()),
     };
     // The panic's own message is on stderr already.
     match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
@@ -259,6 +262,7 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
+        Command::Merge(arguments) => merge::run(arguments, &output),
         Command::Calibrate(arguments) => calibrate::run(arguments, &output),
         Command::Chart(arguments) => chart::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),

@@ -1,9 +1,550 @@
 //! What the lens spreads of the light.
+//!
+//! The light at each place is spread by the pupil ([`Pupil`]) with the defocus of its own
+//! surface, so each side of a step in depth has its own blur. That is done in tiles along the
+//! line, each by Fourier transforms on its own grid: the tiles' results are added, so that where one ends
+//! and the next begins does not show, and light is neither lost nor made (what the tails would carry
+//! past a tile's margin comes in again on its other side).
 
+use super::View;
+use super::defocus::{self, Blur, COLUMNS, GRAINS};
+use super::footprint::Region;
+use super::grid::{Grid, Nodes};
 use super::light::Light;
+use super::pixels::{Pixels, Rows};
+use super::pupil::Pupil;
+use super::reference::Seen;
+use super::speckle::Reader;
+use super::transform::{Band, Drawn, Transform, fast_length};
+use crate::math::{DVec2, sinc};
+use rayon::prelude::*;
+use rustfft::num_complex::Complex32;
+use std::ops::Range;
+use wide::f32x8;
 
-/// The light behind the lens. A pinhole spreads nothing, so it is the same light, and costs
-/// nothing; a lens takes it on an even [`Grid`](super::Grid), with the depth of each sample.
-pub fn blur(light: Light) -> Light {
+/// Steps of β at which light is spread: so far between two, the mean of both is as much wider as 1/64
+/// of a grain's square; and fields, whose phase at the pupil's rim differs by π/8, lose 0.2 % in
+/// the middle between two steps of half of that.
+const STEP: f64 = 0.5;
+
+/// The light behind the lens, in the columns of `region`. `light` may be on a sensor that is larger
+/// than the view's by as much on each side, as light that is out of focus beyond its edge reaches it too. A
+/// sharp image is the same light, and costs nothing.
+pub fn blur(light: Light, view: &View, region: &Region) -> Light {
+    if view.lens.blur == Blur::None {
+        return light;
+    }
+    let resolution = view.camera.sensor.resolution;
+    let beyond = ((light.rows.pixels.columns - resolution.x as usize) / 2) as isize;
+    let tiles = tiles(&light, view, beyond);
+    let mut pixels = Pixels::none(resolution);
+    for tile in &tiles {
+        let around = tile.around().within(&pixels);
+        for row in around.rows {
+            if !around.columns.is_empty() {
+                let columns = &around.columns;
+                pixels.insert(
+                    row as usize,
+                    columns.start as usize,
+                    columns.end as usize - 1,
+                );
+            }
+        }
+    }
+    if let Region::Columns(_, columns) = region {
+        pixels.keep_columns(columns);
+    }
+    let rows = Rows::new(pixels);
+    let speckle = view.speckle.as_ref();
+    let side = light.nodes.transformed();
+    let Some(speckle) = speckle.filter(|_| view.lens.blur == Blur::Coherent) else {
+        let image = [Drawn::at(0.0, 0.0, side)];
+        let spread = |tile: &Tile| tile.spread(&light, &image);
+        let parts: Vec<_> = tiles.par_iter().map(spread).collect();
+        let mut means = vec![0.0; rows.total()];
+        sum_of(&tiles, &parts, &rows, &mut means, |sums, mean| {
+            mean[0] = sums[0].re.max(0.0);
+        });
+        if speckle.is_none() {
+            return Light::spread(
+                rows,
+                Nodes::new(Grid::Even { per_side: 1 }),
+                means,
+                Vec::new(),
+            );
+        }
+        let seen = seen_nearest(&light, &rows, beyond as usize);
+        let nodes = Nodes::new(view.grid);
+        let irradiance = within_pixels(&means, &rows, &nodes);
+        return Light::spread(rows, nodes, irradiance, seen);
+    };
+    let nodes = Nodes::new(defocus::grid_behind(view));
+    let images: Vec<Drawn> = nodes
+        .places()
+        .iter()
+        .map(|node| Drawn::at(node.x, node.y, side))
+        .collect();
+    let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
+    let reader = Reader::new(speckle, view.camera, camera_from_laser);
+    let wider = speckle.wider.unwrap_or(1.0) as f32;
+    let mut irradiance = vec![0.0; nodes.places().len() * rows.total()];
+    for (pattern, weight) in reader.weights().into_iter().enumerate() {
+        let field = |sample: &Sample| reader.amplitude(pattern, sample.place, sample.seen) * wider;
+        let spread = |tile: &Tile| tile.spread_field(&light, &images, field);
+        let parts: Vec<_> = tiles.par_iter().map(spread).collect();
+        sum_of(&tiles, &parts, &rows, &mut irradiance, |sums, values| {
+            for (value, sum) in values.iter_mut().zip(sums) {
+                *value += weight * sum.norm_sqr();
+            }
+        });
+    }
+    Light::spread(rows, nodes, irradiance, Vec::new())
+}
+
+/// Light at the nodes of each pixel, for speckle to be multiplied into: from the means over it and
+/// its neighbours as if it were a parabola along either side.
+fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
+    let count = nodes.places().len();
+    let mut light = vec![0.0; count * means.len()];
+    let mut left = &mut light[..];
+    let mut tasks = Vec::new();
+    for row in 0..rows.pixels.rows {
+        let mine;
+        (mine, left) = left.split_at_mut(count * rows.range(row).len());
+        if !mine.is_empty() {
+            tasks.push((row, mine));
+        }
+    }
+    let places: Vec<[f32; 2]> = (nodes.places().iter())
+        .map(|place| [place.x as f32, place.y as f32])
+        .collect();
+    let columns = rows.pixels.columns;
+    // One more at each end.
+    let new = || [(); 3].map(|()| vec![0.0f32; columns + 2]);
+    tasks
+        .into_par_iter()
+        .for_each_init(new, |near, (row, light)| {
+            for (near, row) in near.iter_mut().zip([row.wrapping_sub(1), row, row + 1]) {
+                near.fill(0.0);
+                if row < rows.pixels.rows {
+                    for (column, mean) in rows.pixels.of(row).zip(&means[rows.range(row)]) {
+                        near[column + 1] = *mean;
+                    }
+                }
+            }
+            let of_pixels = light.chunks_exact_mut(count);
+            for (column, light) in rows.pixels.of(row).zip(of_pixels) {
+                let mean = near[1][column + 1];
+                let beside = [
+                    [near[1][column], near[1][column + 2]],
+                    [near[0][column + 1], near[2][column + 1]],
+                ];
+                let slopes = beside.map(|[before, after]| (after - before) / 2.0);
+                let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
+                for (light, place) in light.iter_mut().zip(&places) {
+                    let along = |i: usize| {
+                        slopes[i] * place[i] + bends[i] * (place[i] * place[i] - 1.0 / 12.0)
+                    };
+                    *light = (mean + along(0) + along(1)).max(0.0);
+                }
+            }
+        });
     light
 }
+
+/// Adds up the images in the tiles' `parts`; `take` gets the sums of all images in each pixel of `rows`,
+/// and where its values go.
+fn sum_of(
+    tiles: &[Tile],
+    parts: &[Vec<Vec<Complex32>>],
+    rows: &Rows,
+    values: &mut [f32],
+    take: impl Fn(&[Complex32], &mut [f32]) + Sync,
+) {
+    let Some(images) = parts.first().map(Vec::len) else {
+        return;
+    };
+    let count = values.len() / rows.total().max(1);
+    let mut left = values;
+    let mut tasks = Vec::new();
+    for row in 0..rows.pixels.rows {
+        let mine;
+        (mine, left) = left.split_at_mut(count * rows.range(row).len());
+        if !mine.is_empty() {
+            tasks.push((row, mine));
+        }
+    }
+    let new = || vec![Complex32::ZERO; images * rows.pixels.columns];
+    tasks
+        .into_par_iter()
+        .for_each_init(new, |sums, (row, values)| {
+            sums.fill(Complex32::ZERO);
+            for (tile, part) in tiles.iter().zip(parts) {
+                let all = tile.around();
+                let around = all.within(&rows.pixels);
+                if !around.rows.contains(&(row as isize)) {
+                    continue;
+                }
+                let first = (row as isize - all.rows.start) as usize * all.columns.len();
+                let skipped = (around.columns.start - all.columns.start) as usize;
+                let onto = sums.chunks_mut(images).skip(around.columns.start as usize);
+                for (i, sums) in onto.take(around.columns.len()).enumerate() {
+                    for (sum, image) in sums.iter_mut().zip(part) {
+                        *sum += image[first + skipped + i];
+                    }
+                }
+            }
+            let of_pixels = values.chunks_exact_mut(count);
+            for (column, values) in rows.pixels.of(row).zip(of_pixels) {
+                take(&sums[column * images..][..images], values);
+            }
+        });
+}
+
+/// Columns and rows of pixels, from the sensor's first pixel on; there may be some before it.
+struct Rectangle {
+    columns: Range<isize>,
+    rows: Range<isize>,
+}
+
+impl Rectangle {
+    /// What of it is on the sensor.
+    fn within(&self, sensor: &Pixels) -> Rectangle {
+        let cut = |range: &Range<isize>, size: usize| {
+            let size = size as isize;
+            range.start.clamp(0, size)..range.end.clamp(0, size)
+        };
+        Rectangle {
+            columns: cut(&self.columns, sensor.columns),
+            rows: cut(&self.rows, sensor.rows),
+        }
+    }
+}
+
+/// A lit pixel.
+#[derive(Clone, Copy)]
+struct Pixel {
+    column: isize,
+    row: isize,
+    number: usize,
+}
+
+/// Lit pixels whose light is spread together.
+struct Tile {
+    own: Rectangle,
+    /// How far their light goes, pixels.
+    margin: [usize; 2],
+    pupil: Pupil,
+    lit: Vec<Pixel>,
+    /// β at which light is spread, evenly from the least to the greatest.
+    layers: Vec<f64>,
+}
+
+/// A lit sample in a layer.
+struct Sample {
+    /// Its number in the tile's own rows of the grid.
+    at: usize,
+    /// On the sensor, pixels.
+    place: DVec2,
+    seen: Seen,
+    irradiance: f32,
+    /// The layer's share of it.
+    share: f32,
+}
+
+/// Least and greatest β of a pixel's lit samples.
+fn blurs(light: &Light, pixel: usize) -> Option<[f64; 2]> {
+    let samples = light.samples(pixel).iter().zip(light.blur(pixel));
+    let lit = samples.filter(|&(&irradiance, _)| irradiance > 0.0);
+    lit.map(|(_, &blur)| [blur as f64; 2])
+        .reduce(|[low, high], [b, _]| [low.min(b), high.max(b)])
+}
+
+/// Depends on lit samples only, so that it is the same whichever others were looked at.
+fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
+    let rows = &light.rows;
+    let mut blocks = vec![Vec::new(); rows.pixels.columns.div_ceil(COLUMNS)];
+    for row in 0..rows.pixels.rows {
+        for (column, number) in rows.pixels.of(row).zip(rows.start(row)..) {
+            if let Some(blurs) = blurs(light, number) {
+                let pixel = Pixel {
+                    column: column as isize - beyond,
+                    row: row as isize - beyond,
+                    number,
+                };
+                blocks[column / COLUMNS].push((pixel, blurs));
+            }
+        }
+    }
+    let wavelength = view.laser.beam.wavelength;
+    let step = match view.lens.blur {
+        Blur::Coherent => STEP / 2.0,
+        _ => STEP,
+    };
+    let mut tiles = Vec::new();
+    for (i, block) in blocks.iter().enumerate() {
+        let start = (i * COLUMNS) as isize - beyond;
+        let mut rest = &block[..];
+        while let Some((first, _)) = rest.first() {
+            let first = first.row;
+            let place = DVec2::new((start + COLUMNS as isize / 2) as f64, first as f64 + 0.5);
+            let pupil = Pupil::new(view.camera, place, wavelength);
+            // Twice as wide as a tile's margin may be light is spread out of sight.
+            let widest = 2.0 * view.lens.reach as f64 / pupil.reach(1.0, 0.0).max_element();
+            // Until the next gap that light does not cross.
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            let mut margin = [0; 2];
+            let mut end = first;
+            let mut count = 0;
+            for (pixel, blurs) in rest {
+                if pixel.row > end + 2 * margin[1] as isize {
+                    break;
+                }
+                let [least, most] = blurs.map(|blur| blur.clamp(-widest, widest));
+                (low, high) = (low.min(least), high.max(most));
+                let reach = pupil.reach(low.abs().max(high.abs()), GRAINS);
+                margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
+                (end, count) = (pixel.row, count + 1);
+            }
+            let (own, others) = rest.split_at(count);
+            let steps = ((high - low) / step).ceil();
+            tiles.push(Tile {
+                own: Rectangle {
+                    columns: start..start + COLUMNS as isize,
+                    rows: first..end + 1,
+                },
+                margin,
+                pupil,
+                lit: own.iter().map(|(pixel, _)| *pixel).collect(),
+                layers: match steps <= 1.0 {
+                    true => vec![0.5 * (low + high)],
+                    false => (0..=steps as usize)
+                        .map(|i| low + (high - low) * i as f64 / steps)
+                        .collect(),
+                },
+            });
+            rest = others;
+        }
+    }
+    tiles
+}
+
+impl Tile {
+    /// Columns and rows of its grid, pixels.
+    fn extent(&self) -> [usize; 2] {
+        [
+            fast_length(self.own.columns.len() + 2 * self.margin[0]),
+            fast_length(self.own.rows.len() + 2 * self.margin[1]),
+        ]
+    }
+
+    /// The pixels of its grid.
+    fn around(&self) -> Rectangle {
+        let [columns, rows] = self.extent();
+        let from = |own: &Range<isize>, margin: usize, extent: usize| {
+            let start = own.start - margin as isize;
+            start..start + extent as isize
+        };
+        Rectangle {
+            columns: from(&self.own.columns, self.margin[0], columns),
+            rows: from(&self.own.rows, self.margin[1], rows),
+        }
+    }
+
+    /// Layers that light of this β is shared by, and the second's share.
+    fn shares(&self, blur: f64) -> (usize, f64) {
+        let last = self.layers.len() - 1;
+        if last == 0 {
+            return (0, 0.0);
+        }
+        let step = (self.layers[last] - self.layers[0]) / last as f64;
+        let at = ((blur - self.layers[0]) / step).clamp(0.0, last as f64);
+        let first = (at as usize).min(last - 1);
+        (first, at - first as f64)
+    }
+
+    /// Its lit samples, by layers.
+    fn samples(&self, light: &Light) -> Vec<Vec<Sample>> {
+        let side = light.nodes.transformed();
+        let in_pixel = light.nodes.side() / side;
+        let columns = self.extent()[0] * side;
+        let mut layers: Vec<Vec<Sample>> = self.layers.iter().map(|_| Vec::new()).collect();
+        for pixel in &self.lit {
+            let column = side * ((pixel.column - self.own.columns.start) as usize + self.margin[0]);
+            let row = side * (pixel.row - self.own.rows.start) as usize;
+            let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
+            let samples = light
+                .samples(pixel.number)
+                .iter()
+                .zip(light.blur(pixel.number));
+            let weights = light.nodes.weights();
+            for (i, ((&irradiance, &blur), weight)) in samples.zip(weights).enumerate() {
+                if irradiance > 0.0 {
+                    let (first, second) = self.shares(blur as f64);
+                    let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
+                    let sample = |share: f64| Sample {
+                        at: (row + y / in_pixel) * columns + column + x / in_pixel,
+                        place: centre + light.nodes.places()[i],
+                        seen: (light.seen(pixel.number).get(i).copied()).unwrap_or_default(),
+                        // The mean over what is transformed as one.
+                        irradiance: irradiance * weight * (side * side) as f32,
+                        share: share as f32,
+                    };
+                    layers[first].push(sample(1.0 - second));
+                    if second > 0.0 {
+                        layers[first + 1].push(sample(second));
+                    }
+                }
+            }
+        }
+        layers
+    }
+
+    /// What a lens makes of its samples, in `images` of its grid's pixels: `value` is what of each sample
+    /// goes in, `passes` what comes out of each frequency of the `band` at a β.
+    fn through_lens(
+        &self,
+        light: &Light,
+        band: &Band,
+        images: &[Drawn],
+        value: impl Fn(&Sample) -> Complex32,
+        passes: impl Fn(f64) -> Vec<Complex32>,
+    ) -> Vec<Vec<Complex32>> {
+        let side = light.nodes.transformed();
+        let columns = self.extent()[0] * side;
+        let mut sum = vec![Complex32::ZERO; band.len()];
+        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * side];
+        for (samples, &blur) in self.samples(light).iter().zip(&self.layers) {
+            if samples.is_empty() {
+                continue;
+            }
+            rows.fill(Complex32::ZERO);
+            for sample in samples {
+                rows[sample.at] += value(sample);
+            }
+            let first = self.margin[1] * side;
+            let spectrum = Transform::with(|own| own.forward(&mut rows, first, band));
+            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes(blur)) {
+                *sum += value * pass;
+            }
+        }
+        let image = |drawn| Transform::with(|own| own.backward(&sum, band, drawn));
+        images.iter().map(image).collect()
+    }
+
+    /// The frequencies up to these (cycles a pixel) on its grid of so many samples along a pixel's
+    /// side.
+    fn band(&self, most: DVec2, side: usize) -> Band {
+        Band::new(self.extent().map(|n| n * side), most / side as f64)
+    }
+
+    /// Its mean light behind the lens, real, over pixels where samples are.
+    fn spread(&self, light: &Light, images: &[Drawn]) -> Vec<Vec<Complex32>> {
+        let side = light.nodes.transformed();
+        let band = self.band(2.0 * self.pupil.most(), side);
+        // What goes in may be the mean over pixels already.
+        let integrated = light.nodes.side() > side;
+        let value = |sample: &Sample| (sample.irradiance * sample.share).into();
+        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * side as f64).collect();
+        let passes = |blur: f64| {
+            let rule = Pupil::rule(blur);
+            let mut passes = vec![Complex32::ZERO; frequencies.len()];
+            // The transfer is the same on both sides of zero.
+            let half: Vec<usize> = (0..band.len()).filter(|&i| i <= band.mirrored(i)).collect();
+            for eight in half.chunks(8) {
+                let of = |axis: usize| {
+                    let mut lanes = [0.0; 8];
+                    for (lane, &i) in lanes.iter_mut().zip(eight) {
+                        *lane = frequencies[i][axis] as f32;
+                    }
+                    f32x8::from(lanes)
+                };
+                let values = self.pupil.transfers([of(0), of(1)], blur, &rule);
+                for (&i, value) in eight.iter().zip(values.to_array()) {
+                    let mean = match integrated {
+                        true => 1.0,
+                        false => sinc(frequencies[i].x) * sinc(frequencies[i].y),
+                    };
+                    let pass = value * mean as f32;
+                    passes[i] = pass.into();
+                    passes[band.mirrored(i)] = pass.into();
+                }
+            }
+            passes
+        };
+        self.through_lens(light, &band, images, value, passes)
+    }
+
+    /// The field behind the lens of a surface that has `field` at its samples, of mean square 1 in the
+    /// pupil's band.
+    fn spread_field(
+        &self,
+        light: &Light,
+        images: &[Drawn],
+        field: impl Fn(&Sample) -> Complex32,
+    ) -> Vec<Vec<Complex32>> {
+        let side = light.nodes.transformed();
+        let cell = DVec2::from(self.extent().map(|n| 1.0 / n as f64));
+        let band = self.band(self.pupil.most() + cell, side);
+        let openings: Vec<(f32, f32)> = band
+            .frequencies()
+            .map(|frequency| self.pupil.opening(frequency * side as f64, cell))
+            .collect();
+        // Cells at the rim are open by a share, of whose light that share's square comes through.
+        let open: f64 = openings
+            .iter()
+            .map(|&(share, _)| (share * share) as f64)
+            .sum();
+        let scale = (self.pupil.cells(cell) / open).sqrt() as f32;
+        let value =
+            |sample: &Sample| field(sample) * (sample.irradiance.sqrt() * sample.share * scale);
+        let passes = |blur: f64| {
+            let turn = std::f32::consts::PI * blur as f32;
+            let pass = |&(share, phase): &(f32, f32)| Complex32::from_polar(share, turn * phase);
+            openings.iter().map(pass).collect()
+        };
+        self.through_lens(light, &band, images, value, passes)
+    }
+}
+
+/// What each pixel sees where speckle asks for it: what the nearest lit pixel of the
+/// column sees, or of the nearest column that has one; its light is spread there.
+fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
+    let mut lit = vec![Vec::new(); light.rows.pixels.columns];
+    for row in 0..light.rows.pixels.rows {
+        let pixels = light.rows.pixels.of(row).zip(light.rows.start(row)..);
+        for (column, pixel) in pixels {
+            let seen = light.seen(pixel).iter().zip(light.samples(pixel));
+            let brightest = seen.max_by(|a, b| a.1.total_cmp(b.1));
+            if let Some((&seen, _)) = brightest.filter(|&(_, &irradiance)| irradiance > 0.0) {
+                lit[column].push((row, seen));
+            }
+        }
+    }
+    let with_light: Vec<usize> = (0..lit.len()).filter(|&c| !lit[c].is_empty()).collect();
+    if with_light.is_empty() {
+        return Vec::new();
+    }
+    let mut seen = Vec::with_capacity(rows.total());
+    for row in 0..rows.pixels.rows {
+        for column in rows.pixels.of(row).map(|column| column + beyond) {
+            let after = with_light.partition_point(|&c| c < column);
+            let beside = with_light[after.saturating_sub(1)..].iter().take(2);
+            let nearest = beside
+                .min_by_key(|c| c.abs_diff(column))
+                .expect("one is lit");
+            let lit = &lit[*nearest];
+            let after = lit.partition_point(|&(r, _)| r < row + beyond);
+            let beside = lit[after.saturating_sub(1)..].iter().take(2);
+            let (_, what) = beside
+                .min_by_key(|(r, _)| r.abs_diff(row + beyond))
+                .expect("one is lit");
+            seen.push(*what);
+        }
+    }
+    seen
+}
+
+#[cfg(test)]
+#[path = "blur_tests.rs"]
+mod tests;

@@ -1,12 +1,16 @@
 //! Speckle times light, integrated over each pixel.
 
 use super::View;
+use super::defocus::Blur;
 use super::irradiance::Irradiance;
 use super::light::Light;
 use super::pixels::middle;
 use super::speckle::Reader;
 use rayon::prelude::*;
 use wide::f32x4;
+
+/// Share of a column's brightest light that is faint.
+const FAINT: f32 = 1.0 / 64.0;
 
 /// Rows of a task.
 const ROWS_PER_TASK: usize = 128;
@@ -15,7 +19,11 @@ const ROWS_PER_TASK: usize = 128;
 /// weighted sum of irradiance times speckle, which is read where the sample lies.
 pub fn expose(light: Light, view: &View) -> Irradiance {
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
-    let speckle = view.speckle.as_ref();
+    // Light that went through the lens as a field has its speckle.
+    let speckle = view
+        .speckle
+        .as_ref()
+        .filter(|_| view.lens.blur != Blur::Coherent);
     let reader = speckle.map(|speckle| Reader::new(speckle, view.camera, camera_from_laser));
     let rows = &light.rows;
     let mut values = vec![0.0; rows.total()];
@@ -27,22 +35,41 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
         (mine, left) = left.split_at_mut(rows.start(end) - rows.start(first));
         tasks.push((first..end, mine));
     }
+    let faint = faint(&light, view);
     tasks.into_par_iter().for_each(|(task, values)| {
         let first = rows.start(task.start);
         for row in task {
             for (column, pixel) in rows.pixels.of(row).zip(rows.start(row)..) {
                 let reader = reader.as_ref().map(|reader| (reader, column, row));
-                values[pixel - first] = exposed(&light, pixel, reader);
+                values[pixel - first] = exposed(&light, pixel, reader, faint[column]);
             }
         }
     });
     Irradiance::new(light.rows, values)
 }
 
+/// In each column the light up to which speckle is read in the middle of the pixel alone. It is none in a
+/// sharp image; one whose light is spread has wide and faint tails, which move no centroid.
+fn faint(light: &Light, view: &View) -> Vec<f32> {
+    let mut faint = vec![0.0; light.rows.pixels.columns];
+    if view.lens.blur == Blur::Mean {
+        for (column, _, samples) in light.pixels() {
+            faint[column] = samples.iter().fold(faint[column], |most, &e| e.max(most));
+        }
+        faint.iter_mut().for_each(|most| *most *= FAINT);
+    }
+    faint
+}
+
 /// Mean irradiance of a pixel, by its number, with the speckle that `reader` has in this
-/// column and row.
+/// column and row; see [`faint`].
 #[inline(always)]
-fn exposed(light: &Light, pixel: usize, reader: Option<(&Reader, usize, usize)>) -> f32 {
+fn exposed(
+    light: &Light,
+    pixel: usize,
+    reader: Option<(&Reader, usize, usize)>,
+    faint: f32,
+) -> f32 {
     let samples = light.samples(pixel);
     let fours = light.nodes.fours().iter().zip(samples.chunks(4));
     let weighted = |(four, irradiance): (&super::grid::Four, &[f32])| {
@@ -53,11 +80,20 @@ fn exposed(light: &Light, pixel: usize, reader: Option<(&Reader, usize, usize)>)
     let sum: f32x4 = match reader {
         None => fours.map(weighted).sum(),
         Some(_) if samples.iter().all(|&irradiance| irradiance == 0.0) => return 0.0,
+        Some((reader, column, row)) if samples.iter().all(|&irradiance| irradiance < faint) => {
+            let seen = light.seen(pixel).first().copied().unwrap_or_default();
+            let speckle = reader.intensity(middle(column, row), seen) as f32;
+            fours.map(weighted).sum::<f32x4>() * speckle
+        }
         Some((reader, column, row)) => {
             let mut reader = reader.pixel(middle(column, row));
             let seen = light.seen(pixel);
+            let all = [seen.first().copied().unwrap_or_default(); 4];
             let read = |(i, (four, irradiance)): (usize, (&super::grid::Four, &[f32]))| {
-                let seen = seen.get(4 * i..).unwrap_or(&[]);
+                let seen = match seen.len() {
+                    1 => &all,
+                    _ => seen.get(4 * i..).unwrap_or(&[]),
+                };
                 let speckle = reader.four(four.columns, four.rows, seen, four.count);
                 weighted((four, irradiance)) * speckle
             };

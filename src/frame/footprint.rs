@@ -9,6 +9,7 @@
 
 use super::View;
 use super::bend::Bend;
+use super::defocus::{Blur, spread_into};
 use super::pixels::Pixels;
 use super::polygon::{MOST_CORNERS, Polygon};
 use super::sight::{Image, Projection, Sight};
@@ -36,7 +37,10 @@ pub fn footprint(view: &View, region: &Region) -> Pixels {
         Region::Lit(clusters) => lit_pixels(view, &sight, clusters),
         Region::Columns(clusters, columns) => {
             let mut pixels = lit_pixels(view, &sight, clusters);
-            pixels.keep_columns(columns);
+            pixels.keep_columns(&match view.lens.blur {
+                Blur::None => columns.clone(),
+                _ => spread_into(columns, view.lens.reach),
+            });
             pixels
         }
     }

@@ -1,7 +1,7 @@
 //! That the footprint is small; that it is large enough is tests/footprint.rs.
 
 use super::*;
-use crate::frame::{Grid, Sampling};
+use crate::frame::{Grid, LensBlur, Sampling};
 use crate::laser::{Beam, Fan};
 use crate::mesh::{Mesh, shapes};
 use crate::surface::Lambert;
@@ -30,7 +30,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
     let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
     let view = View {
         accel: &accel,
-        surface: Lambert { reflectance: 0.5 },
+        surface: Lambert { reflectance: 0.5 }.into(),
         laser: &laser,
         part_from_laser: looking(DVec3::Z * 200.0),
         camera: &camera,
@@ -39,6 +39,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         grid: Grid::Gauss { per_side: 1 },
         sampling: Sampling::Planes,
         cutoff_radii: crate::laser::CUTOFF_RADII,
+        lens: LensBlur::NONE,
     };
     footprint(&view, &Region::Lit(&Clusters::new(mesh)))
 }

@@ -329,9 +329,10 @@ impl<'a> Frame<'a> {
         let start = hit.point + hit.normal * self.view.accel.resolution();
         let sight = Ray::between(start, eye)?;
         let faces = sight.direction.dot(hit.normal) > 0.0 && received > 0.0;
-        let towards_eye = self.laser_from_part.vector(sight.direction);
         let towards_light = -light.flux.normalize_or_zero();
-        let bsdf = (self.view.surface).bsdf(normal, towards_light, towards_eye);
+        let towards_light = self.view.part_from_laser.vector(towards_light);
+        let surface = &self.view.surface;
+        let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, sight.direction);
         let point = LinePoint {
             column: target.column as u32,
             row,

@@ -50,7 +50,9 @@ impl Grid {
 pub(super) struct Nodes {
     /// Place from the pixel's centre, pixels.
     places: Vec<DVec2>,
+    weights: Vec<f32>,
     fours: Vec<Four>,
+    is_even: bool,
 }
 
 impl Nodes {
@@ -79,8 +81,25 @@ impl Nodes {
         };
         Nodes {
             fours: samples.chunks(4).map(four).collect(),
+            weights: samples.iter().map(|(_, weight)| *weight as f32).collect(),
+            is_even: matches!(grid, Grid::Even { .. }),
             places: samples.into_iter().map(|(place, _)| place).collect(),
         }
+    }
+
+    /// Samples along a side.
+    pub fn side(&self) -> usize {
+        self.places.len().isqrt()
+    }
+
+    /// Samples along a side that transforms take: those of an even grid, and the mean of all others.
+    pub fn transformed(&self) -> usize {
+        if self.is_even { self.side() } else { 1 }
+    }
+
+    /// Of the samples; their sum is 1.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights
     }
 
     pub fn places(&self) -> &[DVec2] {

@@ -3,7 +3,9 @@
 //! solid angle. No speckle yet.
 
 use super::View;
+use super::defocus::{self, Spread};
 use super::flat::Profile;
+use super::gloss::Gloss;
 use super::grid::Nodes;
 use super::irradiance::Irradiance;
 use super::pixels::{Pixels, Rows, SIDE, middle};
@@ -39,9 +41,14 @@ pub struct Light {
     pub(super) rows: Rows,
     pub(super) nodes: Nodes,
     /// mW/mm², pixel by pixel and sample by sample.
-    irradiance: Vec<f32>,
-    /// The plane that each sample sees, and so its depth; empty where no one reads it.
-    surface: Vec<Seen>,
+    pub(super) irradiance: Vec<f32>,
+    /// The plane that each sample sees, or each pixel; empty where no one reads it.
+    pub(super) surface: Vec<Seen>,
+    /// β of each sample's surface, by which the lens spreads it (see [`super::blur`](super::blur()));
+    /// empty where nothing is spread.
+    pub(super) blur: Vec<f32>,
+    /// By how many columns and rows [`super::skew`](super::skew()) moves each; empty where nothing is.
+    pub(super) skew: Vec<[f32; 2]>,
 }
 
 impl Light {
@@ -51,12 +58,35 @@ impl Light {
         &self.irradiance[count * pixel..count * (pixel + 1)]
     }
 
-    /// What its samples see; empty where no one reads it.
+    /// What its samples see, or all of them; empty where no one reads it.
     pub(super) fn seen(&self, pixel: usize) -> &[Seen] {
-        let count = self.nodes.places().len();
+        let count = self.surface.len() / self.rows.total().max(1);
         self.surface
             .get(count * pixel..count * (pixel + 1))
             .unwrap_or(&[])
+    }
+
+    /// β of its samples; see [`super::blur`](super::blur()).
+    pub(super) fn blur(&self, pixel: usize) -> &[f32] {
+        let count = self.nodes.places().len();
+        &self.blur[count * pixel..count * (pixel + 1)]
+    }
+
+    /// Light at the `nodes` of these pixels, sample by sample, which see what is `seen`.
+    pub(super) fn spread(
+        rows: Rows,
+        nodes: Nodes,
+        irradiance: Vec<f32>,
+        surface: Vec<Seen>,
+    ) -> Light {
+        Light {
+            rows,
+            nodes,
+            irradiance,
+            surface,
+            blur: Vec::new(),
+            skew: Vec::new(),
+        }
     }
 
     /// Of every pixel that may be lit: column, row, and mean irradiance (mW/mm²) at its samples,
@@ -70,8 +100,10 @@ impl Light {
     }
 
     /// The same with light that was reflected more than once: its mean irradiance over each
-    /// pixel (mW/mm²), which may be lit where this is not.
+    /// pixel (mW/mm²), which may be lit where this is not. It is faint and wide: the lens need not
+    /// spread it, and it is added after that.
     pub fn with_indirect(self, indirect: &Irradiance) -> Light {
+        debug_assert!(self.blur.is_empty());
         let count = self.nodes.places().len();
         let mut pixels = self.rows.pixels.clone();
         for row in 0..pixels.rows {
@@ -81,7 +113,8 @@ impl Light {
         }
         let rows = Rows::new(pixels);
         let mut irradiance = vec![0.0; count * rows.total()];
-        let mut surface = vec![Seen::default(); rows.total() * count.min(self.surface.len())];
+        let of_surface = self.surface.len() / self.rows.total().max(1);
+        let mut surface = vec![Seen::default(); rows.total() * of_surface];
         for row in 0..rows.pixels.rows {
             let mut direct = self
                 .rows
@@ -95,7 +128,8 @@ impl Light {
                 if let Some((_, from)) = direct.next_if(|&(c, _)| c == column) {
                     irradiance[samples.clone()].copy_from_slice(self.samples(from));
                     if !surface.is_empty() {
-                        surface[samples.clone()].copy_from_slice(self.seen(from));
+                        let seen = of_surface * pixel..of_surface * (pixel + 1);
+                        surface[seen].copy_from_slice(self.seen(from));
                     }
                 }
                 if let Some((_, e)) = more.next_if(|&(c, _)| c == column) {
@@ -123,29 +157,42 @@ const BANDS_PER_TASK: usize = 32;
 pub fn light(view: &View, pixels: Pixels) -> Light {
     let sight = Sight::new(view.camera, &view.part_from_camera);
     let speckle = view.speckle.as_ref();
+    let spread = Spread::new(view);
     let frame = Frame {
-        rays: LitRays::new(view, &sight),
+        rays: LitRays::new(view, &sight, spread.is_some()),
         rows: Rows::new(pixels),
-        nodes: Nodes::new(view.grid),
+        nodes: Nodes::new(defocus::grid(view)),
         reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
+        spread,
     };
     let count = frame.nodes.places().len();
     let mut irradiance = vec![0.0; count * frame.rows.total()];
     let of_surface = count * usize::from(frame.reads_surface);
     let mut surface = vec![Seen::default(); of_surface * frame.rows.total()];
+    let of_blur = count * usize::from(frame.spread.is_some());
+    let mut blur = vec![0.0; of_blur * frame.rows.total()];
+    let skewed = frame.spread.is_some() && frame.rays.gloss.is_some();
+    let of_skew = count * usize::from(skewed);
+    let mut skew = vec![[0.0; 2]; of_skew * frame.rows.total()];
     let mut tasks = Vec::new();
     let (mut irradiance_left, mut surface_left) = (&mut irradiance[..], &mut surface[..]);
+    let (mut blur_left, mut skew_left) = (&mut blur[..], &mut skew[..]);
     for first in (0..frame.rows.pixels.bands()).step_by(BANDS_PER_TASK) {
         let rows = frame.rows_of(first);
         let pixels = frame.rows.range(rows.start).start..frame.rows.start(rows.end);
         let (mine, others) = irradiance_left.split_at_mut(count * pixels.len());
         let (my_surface, other_surface) = surface_left.split_at_mut(of_surface * pixels.len());
+        let (my_blur, other_blur) = blur_left.split_at_mut(of_blur * pixels.len());
+        let (my_skew, other_skew) = skew_left.split_at_mut(of_skew * pixels.len());
         (irradiance_left, surface_left) = (others, other_surface);
+        (blur_left, skew_left) = (other_blur, other_skew);
         tasks.push(Task {
             first_band: first,
             first_pixel: pixels.start,
             irradiance: mine,
             surface: my_surface,
+            blur: my_blur,
+            skew: my_skew,
         });
     }
     tasks
@@ -154,6 +201,8 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
     Light {
         irradiance,
         surface,
+        blur,
+        skew,
         rows: frame.rows,
         nodes: frame.nodes,
     }
@@ -167,6 +216,8 @@ struct Task<'a> {
     /// Of their samples; zeros.
     irradiance: &'a mut [f32],
     surface: &'a mut [Seen],
+    blur: &'a mut [f32],
+    skew: &'a mut [[f32; 2]],
 }
 
 /// A view with what its pixels share computed once.
@@ -176,6 +227,8 @@ struct Frame<'a> {
     nodes: Nodes,
     /// Whether speckle depends on the surface that a sample sees.
     reads_surface: bool,
+    /// `None`: the lens spreads nothing.
+    spread: Option<Spread>,
 }
 
 /// A pixel to be sampled.
@@ -257,7 +310,10 @@ impl Frame<'_> {
         let size = [self.rows.pixels.columns, self.rows.pixels.rows];
         let alike = match around {
             0 => wanted,
-            _ => window.alike(band, first, size, wanted),
+            _ => {
+                let turn = self.rays.gloss.as_ref().map(Gloss::constant_turn);
+                window.alike(band, first, size, wanted, turn)
+            }
         };
         let pixels: [Pixel; WIDTH] = std::array::from_fn(|i| {
             let number = next[i / SIDE];
@@ -294,7 +350,13 @@ impl Frame<'_> {
             samples.copy_from_slice(&shares.to_array()[..samples.len()]);
         }
         if self.reads_surface {
-            task.surface[own].fill(Seen::new(plane));
+            task.surface[own.clone()].fill(Seen::new(plane));
+        }
+        if let Some(spread) = &self.spread {
+            task.blur[own.clone()].fill(spread.blur(&self.rays.from_laser, pixel.centre, plane));
+        }
+        if let (Some(gloss), false) = (&self.rays.gloss, task.skew.is_empty()) {
+            task.skew[own].fill(gloss.skew(pixel.centre, [plane.point, plane.normal]));
         }
         true
     }
@@ -365,6 +427,14 @@ impl Frame<'_> {
                     if self.reads_surface {
                         task.surface[sample] = Seen::new(plane);
                     }
+                    if let Some(spread) = &self.spread {
+                        task.blur[sample] =
+                            spread.blur(&self.rays.from_laser, places[ray - first], plane);
+                    }
+                    if let (Some(gloss), false) = (&self.rays.gloss, task.skew.is_empty()) {
+                        task.skew[sample] =
+                            gloss.skew(places[ray - first], [plane.point, plane.normal]);
+                    }
                 }
             }
         }
@@ -376,7 +446,7 @@ mod tests {
     use super::*;
     use crate::accel::Accel;
     use crate::camera::fixture;
-    use crate::frame::{Grid, Region, blur, expose, footprint};
+    use crate::frame::{Grid, LensBlur, Region, blur, expose, footprint};
     use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
     use crate::math::{DVec3, Rigid};
     use crate::mesh::shapes;
@@ -404,7 +474,7 @@ mod tests {
         let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
         then(&View {
             accel: &accel,
-            surface: Lambert { reflectance: 0.5 },
+            surface: Lambert { reflectance: 0.5 }.into(),
             laser: &laser,
             part_from_laser: looking(DVec3::Z * 200.0),
             camera: &fixture(),
@@ -413,6 +483,7 @@ mod tests {
             grid,
             sampling,
             cutoff_radii: CUTOFF_RADII,
+            lens: LensBlur::NONE,
         });
     }
 
@@ -478,7 +549,11 @@ mod tests {
         let total = |grid, sampling| {
             let mut sum = 0.0;
             line(grid, sampling, |view| {
-                let light = blur(light(view, footprint(view, &Region::All)));
+                let light = blur(
+                    light(view, footprint(view, &Region::All)),
+                    view,
+                    &Region::All,
+                );
                 let image = expose(light, view).dense();
                 sum = image.iter().map(|&e| e as f64).sum::<f64>();
             });

@@ -3,30 +3,36 @@
 //! plain data in the file of its name.
 //!
 //! ```text
-//! footprint → rays → light → blur → expose (speckle × light, over pixels) → counts
+//! footprint → rays → light → skew → blur → expose (speckle × light, over pixels) → counts
 //! ```
 
 mod bend;
 mod blur;
 mod counts;
+mod defocus;
 mod expose;
 mod flat;
 mod footprint;
 mod geometric;
+mod gloss;
 mod grid;
 mod irradiance;
 mod light;
 mod pixels;
 mod polygon;
+mod pupil;
 mod rays;
 mod reference;
 mod sight;
+mod skew;
 mod speckle;
+mod transform;
 mod truth;
 mod window;
 
 pub use blur::blur;
 pub use counts::Readout;
+pub use defocus::{Blur, LensBlur};
 pub use expose::expose;
 pub use footprint::{Region, footprint};
 pub use geometric::{LinePoint, Sheet};
@@ -35,10 +41,12 @@ pub use irradiance::Irradiance;
 pub use light::{Light, Sampling, light};
 pub use pixels::Pixels;
 pub use reference::{Reference, Strips};
+pub use skew::skew;
 pub use speckle::{Patterns, Speckle};
 pub use truth::{Truth, truth_layers};
 
 pub(crate) use bend::Bend;
+pub(crate) use defocus::{TILE, reach_px};
 pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::SheetAngles;
 pub(crate) use grid::sampling_error;
@@ -49,14 +57,15 @@ use crate::camera::{Camera, Counts};
 use crate::laser::Laser;
 use crate::math::Rigid;
 use crate::math::rng::Key;
-use crate::surface::Lambert;
+use crate::surface::Surface;
 
 /// Everything one pose of the sensor depends on, in the part's frame.
+#[derive(Clone)]
 pub struct View<'a> {
     /// Rays against the part.
     pub accel: &'a Accel,
     /// How the part scatters light.
-    pub surface: Lambert,
+    pub surface: Surface,
     /// The source of light.
     pub laser: &'a Laser,
     /// Where the laser stands.
@@ -74,6 +83,8 @@ pub struct View<'a> {
     /// Beam radii at which light is taken to end, at most
     /// [`CUTOFF_RADII`](crate::laser::CUTOFF_RADII).
     pub cutoff_radii: f64,
+    /// The lens's blur.
+    pub lens: LensBlur,
 }
 
 /// The image that the sensor takes: the mean of the light over the `views` of one exposure
@@ -91,8 +102,29 @@ pub fn take<'a>(
 /// Mean irradiance of each pixel, mW/mm². The same bytes for any number of threads, and
 /// for [`Region::All`] and [`Region::Lit`].
 pub fn irradiance(view: &View, region: &Region) -> Irradiance {
-    let pixels = footprint(view, region); // which pixels may see laser light
-    let light = light(view, pixels); // rays: irradiance and depth at each sample
-    let light = blur(light); // what the lens spreads
+    let (camera, wider) = beyond_the_edges(view, region);
+    let traced = &View {
+        camera: &camera,
+        ..view.clone()
+    };
+    let pixels = footprint(traced, &wider); // which pixels may see laser light
+    let light = light(traced, pixels); // rays: irradiance and depth at each sample
+    let light = skew(light); // out of focus, gloss lies to one side
+    let light = blur(light, view, region); // what the lens spreads
     expose(light, view) // speckle × light, integrated over pixels
+}
+
+/// A camera whose sensor is so much larger on each side that all light that the lens spreads onto the
+/// view's is on it, and the region there.
+fn beyond_the_edges<'a>(view: &View, region: &Region<'a>) -> (Camera, Region<'a>) {
+    let reach = view.lens.reach;
+    let mut camera = view.camera.clone();
+    camera.sensor.resolution += 2 * reach as u32;
+    let region = match region.clone() {
+        Region::Columns(clusters, columns) => {
+            Region::Columns(clusters, columns.start + reach..columns.end + reach)
+        }
+        region => region,
+    };
+    (camera, region)
 }

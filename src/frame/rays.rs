@@ -1,11 +1,13 @@
 //! What rays of the camera see: nothing, surface, lit surface.
 
 use super::View;
+use super::gloss::Gloss;
 use super::pixels::{SIDE, middle};
 use super::sight::Sight;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
+use crate::surface::Surface;
 use smallvec::SmallVec;
 
 /// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
@@ -64,6 +66,10 @@ pub(super) struct LitRays<'a> {
     /// The same in the laser's frame.
     pub from_laser: Sight,
     laser_from_part: Rigid,
+    /// BRDF of a surface that is Lambert's, 1/sr.
+    matt: f64,
+    /// Of one that is not.
+    pub gloss: Option<Gloss<'a>>,
     /// Normal of the laser's sheet.
     across: DVec3,
     /// Hits higher than this over the sheet (mm) are as if nothing were hit: dark,
@@ -72,7 +78,8 @@ pub(super) struct LitRays<'a> {
 }
 
 impl<'a> LitRays<'a> {
-    pub fn new(view: &'a View<'a>, sight: &'a Sight) -> LitRays<'a> {
+    /// `skewed`: whether it matters where in the pupil light passes.
+    pub fn new(view: &'a View<'a>, sight: &'a Sight, skewed: bool) -> LitRays<'a> {
         let laser_from_part = view.part_from_laser.inverse();
         let laser_from_camera = laser_from_part * view.part_from_camera;
         let corners = view.accel.bounds().corners();
@@ -86,6 +93,11 @@ impl<'a> LitRays<'a> {
             sight,
             from_laser: Sight::new(view.camera, &laser_from_camera),
             laser_from_part,
+            matt: match &view.surface {
+                Surface::Lambert(lambert) => lambert.bsdf(),
+                Surface::Glossy(_) => 0.0,
+            },
+            gloss: Gloss::new(view, skewed),
             across: view.part_from_laser.rotation.y_axis,
             far: 2.0 * widest.y + view.accel.refinement(),
         }
@@ -101,13 +113,13 @@ impl<'a> LitRays<'a> {
         steps: [DVec3; 2],
         direction: DVec3,
     ) -> bool {
-        let constant = |limit: f64, lengths: [f64; 2], distance: f64| {
-            limit == f64::INFINITY || lengths[0].max(lengths[1]) <= limit * distance
-        };
+        let limit = self.view.laser.constant_angle();
         let along = moves.map(|step| step.x.abs());
-        let turns = steps.map(|step| step.length());
-        constant(self.view.laser.constant_angle(), along, plane.point.z)
-            && constant(self.view.surface.constant_cone(), turns, direction.length())
+        let even = limit == f64::INFINITY || along[0].max(along[1]) <= limit * plane.point.z;
+        even && self.gloss.as_ref().is_none_or(|gloss| {
+            let turns = steps.map(|step| step.length() / direction.length());
+            gloss.is_constant_over([plane.point, plane.normal], moves, turns)
+        })
     }
 
     /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
@@ -213,9 +225,14 @@ impl<'a> LitRays<'a> {
         let Some(shadow_ray) = shadow_ray else {
             return (Met::Unlit(plane), None);
         };
-        let towards_light = -section.flux.normalize_or_zero();
-        let towards_eye = -self.laser_from_part.vector(direction);
-        let bsdf = (self.view.surface).bsdf(normal, towards_light, towards_eye);
+        let bsdf = match &self.gloss {
+            None => self.matt,
+            Some(gloss) => {
+                let flux = section.flux.normalize_or_zero();
+                let towards_light = -self.view.part_from_laser.vector(flux);
+                gloss.bsdf(hit.point, hit.normal, towards_light)
+            }
+        };
         let radiance = bsdf * received;
         let light = Lit {
             irradiance: radiance * self.sight.solid_angle(place, direction),

@@ -88,12 +88,16 @@ pub(super) struct References {
     /// Texels to add.
     pub offsets: [DVec2; 2],
     camera_from_laser: Rigid,
+    /// Shifts A_p of the pupil since the references, diameters, by which the lens itself moves a field
+    /// on the surface that is out of focus; zero for fields on the sensor.
+    through_lens: [DVec3; 2],
 }
 
 impl References {
     pub fn new(
+        map: &GrainMap,
+        wider: f64,
         strips: &Strips,
-        map: GrainMap,
         camera: &Camera,
         camera_from_laser: Rigid,
     ) -> References {
@@ -113,6 +117,10 @@ impl References {
             }),
             offsets: (strips.strips).map(|reference| map.displacement(reference.displacement)),
             camera_from_laser,
+            through_lens: strips.strips.map(|reference| {
+                let since = strips.pupil - reference.strip.reference;
+                -since.extend(0.0) * wider
+            }),
         }
     }
 
@@ -150,13 +158,15 @@ impl References {
         let normal = self.camera_from_laser.vector(seen.normal);
         let focused_on = 1.0 / self.focal_length - 1.0 / behind.z;
         let blur = (1.0 - focused_on * point.z).clamp(-1.0, 1.0) * self.view.pupil_diameter;
-        self.strips.map(|(then_from_now, motion)| {
+        [0, 1].map(|i| {
+            let (then_from_now, motion) = &self.strips[i];
             let mut aside = DVec3::ZERO;
             if blur != 0.0 {
                 // The shift is that of the point sought. It changes from there to here by
                 // a small share of itself, so twice is enough.
                 for _ in 0..2 {
-                    aside = self.shift(point + aside, normal, &then_from_now, &motion) * blur;
+                    let shift = self.shift(point + aside, normal, then_from_now, motion);
+                    aside = (shift - self.through_lens[i]) * blur;
                 }
             }
             aside
@@ -271,6 +281,7 @@ mod tests {
                 }),
                 offsets: [DVec2::ZERO; 2],
                 camera_from_laser: Rigid::IDENTITY,
+                through_lens: [DVec3::ZERO; 2],
             };
             let normal = DVec3::new(draw(-0.7, 0.7), draw(-0.7, 0.7), -1.0).normalize();
             let centre = DVec2::new(draw(0.0, 1600.0).floor(), draw(0.0, 1200.0).floor()) + 0.5;

@@ -8,6 +8,7 @@ use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace};
 use crate::speckle::lookup::Lookup;
 use crate::speckle::strips::StripField;
 use glam::Vec2;
+use rustfft::num_complex::Complex32;
 use wide::f32x4;
 
 /// Speckle patterns, and how they lie over the sensor in one frame.
@@ -20,6 +21,9 @@ pub struct Speckle<'a> {
     /// a_I of the seed: displacement in the middle of an untilted sensor at which the
     /// pattern is read, (columns, rows), mm.
     pub displacement: DVec2,
+    /// `Some`: fields on the surface, which the lens defocuses, of a pupil so many times as wide as the
+    /// lens's; `None`: fields on the sensor.
+    pub wider: Option<f64>,
 }
 
 /// Where the intensities come from.
@@ -55,6 +59,8 @@ impl Patterns<'_> {
     }
 }
 
+const NO_FIELD: &str = "a plan with a coherent lens has speckle by field";
+
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
     rays: ChiefRays,
@@ -86,7 +92,13 @@ impl<'a> Reader<'a> {
                 let both = strips.strips.map(|reference| reference.strip);
                 Source::Strips {
                     field: Box::new(fields.strips(strips.pupil, strips.along, &both)),
-                    references: Box::new(References::new(strips, map, camera, camera_from_laser)),
+                    references: Box::new(References::new(
+                        &speckle.map,
+                        speckle.wider.unwrap_or(0.0),
+                        strips,
+                        camera,
+                        camera_from_laser,
+                    )),
                 }
             }
         };
@@ -113,6 +125,29 @@ impl<'a> Reader<'a> {
             }),
         };
         intensity as f64
+    }
+
+    /// Weights of the independent patterns of a frame's own field.
+    pub fn weights(&self) -> Vec<f32> {
+        match &self.source {
+            Source::Frame(field) => field.weights().collect(),
+            Source::Strips { field, .. } => field.weights().collect(),
+            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+        }
+    }
+
+    /// Amplitude of the field in one of them, of mean square 1, at a place (column, row) on the
+    /// sensor.
+    pub fn amplitude(&self, pattern: usize, place: DVec2, seen: Seen) -> Complex32 {
+        match &self.source {
+            Source::Frame(field) => field.amplitude_of(pattern, self.at(place)),
+            Source::Strips { field, references } => {
+                let cosines = references.cosines(place, seen);
+                let at = [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i]);
+                field.amplitude_of(pattern, at)
+            }
+            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+        }
     }
 
     /// Intensity of strips that are read under these direction cosines.

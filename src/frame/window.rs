@@ -63,12 +63,20 @@ impl Window {
     /// Which pixels of a tile see one plane with the eight around each, and where light
     /// can reach two of them, both lit or neither, as bits; of those `wanted`. Past the
     /// sensor's border (`size`, columns and rows) are no pixels. All tiles around those
-    /// wanted must have been filled in.
-    pub fn alike(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
+    /// wanted must have been filled in. `turn`: the greatest difference of their normals, if it is less
+    /// than elsewhere.
+    pub fn alike(
+        &self,
+        band: usize,
+        first: usize,
+        size: [usize; 2],
+        wanted: u16,
+        turn: Option<f32>,
+    ) -> u16 {
         let here = self.tile(band, first);
         // Where nothing is seen no planes are compared.
         let origin = here.iter().find_map(|center| Some(center.plane()?.point));
-        Around::new(self, band, first, size, origin.unwrap_or_default()).alike(wanted)
+        Around::new(self, band, first, size, origin.unwrap_or_default()).alike(wanted, turn)
     }
 }
 
@@ -156,7 +164,7 @@ impl Around {
         pixels.fold(0, |bits, pixel| bits | 1 << pixel)
     }
 
-    fn alike(&self, wanted: u16) -> u16 {
+    fn alike(&self, wanted: u16, turn: Option<f32>) -> u16 {
         let nothing = Around::pixels(wanted, |cell| self.nothing >> cell & NINE == NINE);
         let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
         let surface = Around::pixels(wanted & !nothing, |cell| {
@@ -166,12 +174,12 @@ impl Around {
             !near(self.nothing) && !parted
         });
         let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
-        let flat = rows.fold(0, |bits, row| bits | self.flat(row) << (SIDE * row));
+        let flat = rows.fold(0, |bits, row| bits | self.flat(row, turn) << (SIDE * row));
         nothing | surface & flat
     }
 
     /// Which pixels of a row of the tile lie on one plane with those around them.
-    fn flat(&self, row: usize) -> u16 {
+    fn flat(&self, row: usize, turn: Option<f32>) -> u16 {
         let four = |values: &[f32; CELLS], cell: usize| {
             f32x4::from(<[f32; 4]>::try_from(&values[cell..cell + 4]).expect("four of them"))
         };
@@ -189,6 +197,11 @@ impl Around {
                 // NaN is neither.
                 flat &= beside.simd_le(tolerance);
                 flat &= dot(normal, n).simd_ge(f32x4::splat(NORMAL_TOLERANCE));
+                if let Some(turn) = turn {
+                    // Not by the cosine: of small angles f32 leaves nothing of it.
+                    let apart = [0, 1, 2].map(|k| n[k] - normal[k]);
+                    flat &= dot(apart, apart).simd_le(f32x4::splat(turn * turn));
+                }
             }
         }
         flat.to_bitmask() as u16

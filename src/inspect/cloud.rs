@@ -17,7 +17,7 @@ pub struct CloudPoint {
     /// through the laser plane, where an error of the row moves it.
     pub sigma: f64,
     /// Standard uncertainty of the deviation, mm: the part of `sigma` that lies
-    /// along the surface's normal.
+    /// along the surface's normal, and what the scene says of its triangles' chord.
     pub deviation_sigma: f64,
     /// Counts above background in the peak.
     pub intensity: f64,

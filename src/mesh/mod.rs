@@ -1,4 +1,4 @@
-//! Triangle meshes: read from STL, OBJ and PLY files, checked, or made from
+//! Triangle meshes: read from STL, OBJ, PLY, glTF and 3MF files, checked, or made from
 //! analytic shapes.
 //!
 //! Every mesh comes out of one weld: corners whose coordinates are the same
@@ -21,6 +21,7 @@ use crate::error::{Error, InputError, Place};
 use crate::math::{Aabb, DVec3};
 
 pub mod check;
+mod gltf;
 pub mod memory;
 mod obj;
 mod ply;
@@ -30,6 +31,7 @@ mod shell;
 mod sniff;
 mod stl;
 mod text;
+mod three_mf;
 mod weld;
 
 pub use check::{MeshReport, Orientation, has_area, report};
@@ -138,23 +140,28 @@ impl Mesh {
     }
 }
 
-/// Reads an STL (binary or ASCII), OBJ or PLY (ASCII, either byte order) file
-/// whose unit of length is `unit_mm` millimetres. The format is told from the
-/// content; the extension is not looked at.
+/// Reads an STL (binary or ASCII), OBJ, PLY (ASCII, either byte order), glTF 2.0 (JSON or
+/// binary) or 3MF file whose unit of length is `unit_mm` millimetres. The format is told
+/// from the content; the extension is not looked at. `None`, where the file says its unit
+/// (see [`unit_by`]): that is taken.
+///
+/// Of glTF and 3MF all that the file's scene or build shows is one mesh, each part where it is placed.
 ///
 /// # Errors
 /// `Error::Io` when the file cannot be read; `Error::Input`, with the line or
 /// byte, for whatever is not a whole mesh: another kind of file, cut off, a
 /// count or an index that does not fit, a vertex that is not a number or lies
-/// beyond 10¹² mm, no triangle at all.
+/// beyond 10¹² mm, no triangle at all; no unit, or one that a 3MF file contradicts.
 ///
 /// `Error::Memory` for a file that would not fit the machine's. It takes 2 times the
 /// file for usual STL and at most 6 times, 30 times for OBJ and PLY (their shortest
-/// statements are a few bytes long; usual files need 2 to 5).
+/// statements are a few bytes long; usual files need 2 to 5). glTF and 3MF place the
+/// same shape as often as they like, and 3MF is compressed: what is needed is asked for
+/// before it is taken.
 ///
 /// # Panics
 /// If `unit_mm` is not a positive number: the scene has checked it.
-pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, Error> {
+pub fn load(path: &Path, unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
     parse(path, &read(path, &|_| Ok(()))?, unit_mm)
 }
 
@@ -190,18 +197,28 @@ fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec
     Ok(bytes)
 }
 
-/// `load` for bytes already in memory; `path` only names them in errors.
-pub fn parse(path: &Path, bytes: &[u8], unit_mm: f64) -> Result<Mesh, Error> {
+/// `load` for bytes already in memory; `path` names them in errors, and a glTF file's buffers are
+/// beside it.
+pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
+    let unit_mm = unit_mm.into();
     assert!(
-        unit_mm.is_finite() && unit_mm > 0.0,
-        "unit of {unit_mm} mm reached the mesh reader"
+        unit_mm.is_none_or(|unit| unit.is_finite() && unit > 0.0),
+        "unit of {unit_mm:?} mm reached the mesh reader"
     );
+    let format = sniff::format(path, bytes)?;
+    let usual = (format == sniff::Format::Gltf).then_some(gltf::METRE);
     let source = Source {
         path,
         bytes,
-        unit_mm,
+        unit_mm: unit_mm.or(usual).unwrap_or(1.0),
     };
-    match sniff::format(&source)? {
+    match format {
+        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm),
+        sniff::Format::Gltf => gltf::read(&source),
+        _ if unit_mm.is_none() => {
+            let found = "coordinates without a unit";
+            Err(source.error(Place::File, found, "a unit beside the file's name"))
+        }
         sniff::Format::BinaryStl => stl::binary(&source),
         sniff::Format::AsciiStl => stl::ascii(&source),
         sniff::Format::Ply => ply::read(&source),
@@ -209,7 +226,31 @@ pub fn parse(path: &Path, bytes: &[u8], unit_mm: f64) -> Result<Mesh, Error> {
     }
 }
 
+/// Who says the unit of a file's coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UnitBy {
+    /// Nobody: it must be said beside the file's name.
+    User,
+    /// The format, glTF: metres, though programs are known that write others.
+    Metres,
+    /// The file itself, 3MF.
+    File,
+}
+
+/// Who says the unit of a mesh file's coordinates.
+///
+/// # Errors
+/// `Error::Input` for what is no mesh.
+pub fn unit_by(path: &Path, bytes: &[u8]) -> Result<UnitBy, Error> {
+    Ok(match sniff::format(path, bytes)? {
+        sniff::Format::Gltf => UnitBy::Metres,
+        sniff::Format::ThreeMf => UnitBy::File,
+        _ => UnitBy::User,
+    })
+}
+
 /// A mesh file in memory.
+#[derive(Clone, Copy)]
 struct Source<'a> {
     path: &'a Path,
     bytes: &'a [u8],

@@ -4,8 +4,9 @@ use super::text::{self, Lines, quote, words};
 use super::{Source, obj};
 use crate::error::{Error, Place};
 use file_format::{FileFormat, Kind};
+use std::path::Path;
 
-pub const EXPECTED: &str = "an STL, OBJ or PLY mesh";
+pub const EXPECTED: &str = "an STL, OBJ, PLY, glTF or 3MF mesh";
 
 #[derive(Debug, PartialEq)]
 pub enum Format {
@@ -13,14 +14,16 @@ pub enum Format {
     AsciiStl,
     Ply,
     Obj,
+    Gltf,
+    ThreeMf,
 }
 
 /// Bytes looked at to tell text from binary: a binary STL has, in its first
 /// dozen triangles, a zero byte in an attribute word if nowhere else.
 const PROBE: usize = 1024;
 
-const TESSELLATED: &str = "its surface as triangles, exported as STL, OBJ or PLY";
-const UNPACKED: &str = "an STL, OBJ or PLY mesh, unpacked";
+const TESSELLATED: &str = "its surface as triangles, exported as STL, OBJ, PLY, glTF or 3MF";
+const UNPACKED: &str = "an STL, OBJ, PLY, glTF or 3MF mesh, unpacked";
 const PLAIN_TEXT: &str = "ASCII or UTF-8 text";
 
 /// Starts (lower case) of text files that get mistaken for meshes, with their name and
@@ -82,11 +85,7 @@ fn stranger(head: &[u8]) -> Option<(String, &'static str)> {
         }
     }
     if start.starts_with(b"{") {
-        let is_gltf = start.windows(7).any(|word| word == b"\"asset\"");
-        return match is_gltf {
-            true => named("a glTF scene", TESSELLATED),
-            false => named("a JSON document", EXPECTED),
-        };
+        return named("a JSON document", EXPECTED);
     }
     if looks_utf16(head) {
         return named("UTF-16 text", PLAIN_TEXT);
@@ -121,9 +120,13 @@ fn signed(bytes: &[u8]) -> Option<(String, &'static str)> {
     Some((format!("a file of the format {format} ({short})"), expected))
 }
 
-/// The format of `source`, or an error that names what it looks like instead.
-pub fn format(source: &Source) -> Result<Format, Error> {
-    let bytes = source.bytes;
+/// The format of a file's bytes, or an error that names what it looks like instead.
+pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
+    let source = Source {
+        path,
+        bytes,
+        unit_mm: 1.0,
+    };
     if bytes.is_empty() {
         return Err(source.error(Place::File, "an empty file", EXPECTED));
     }
@@ -134,6 +137,15 @@ pub fn format(source: &Source) -> Result<Format, Error> {
     }
     if bytes.starts_with(b"ply") && bytes.get(3).is_none_or(u8::is_ascii_whitespace) {
         return Ok(Format::Ply);
+    }
+    if bytes.starts_with(b"glTF") || is_json_gltf(bytes) {
+        return Ok(Format::Gltf);
+    }
+    // A 3MF archive says what it is wherever it likes: its directory is at its end.
+    if bytes.starts_with(b"PK\x03\x04")
+        && FileFormat::from(bytes) == FileFormat::ThreeDimensionalManufacturingFormat
+    {
+        return Ok(Format::ThreeMf);
     }
     let head = text::without_end_mark(bytes);
     let head = head[..head.len().min(PROBE)].to_ascii_lowercase();
@@ -161,6 +173,13 @@ pub fn format(source: &Source) -> Result<Format, Error> {
         )),
         None => Err(source.error(Place::File, "blanks and comments only", EXPECTED)),
     }
+}
+
+/// A JSON object with the key that glTF needs, wherever it stands.
+fn is_json_gltf(bytes: &[u8]) -> bool {
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let is_object = start.trim_ascii_start().starts_with(b"{");
+    is_object && bytes.windows(7).any(|word| word == b"\"asset\"")
 }
 
 /// Triangles a binary STL header announces.
@@ -201,15 +220,9 @@ fn first_word(bytes: &[u8]) -> Option<&[u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::Path;
 
     fn told(bytes: &[u8]) -> Result<Format, String> {
-        let source = Source {
-            path: Path::new("part.stl"),
-            bytes,
-            unit_mm: 1.0,
-        };
-        format(&source).map_err(|e| e.to_string())
+        format(Path::new("part.stl"), bytes).map_err(|e| e.to_string())
     }
 
     #[test]
@@ -257,8 +270,6 @@ mod tests {
             (b"# vtk DataFile Version 3.0\n", "VTK"),
             (b"<?xml version=\"1.0\"?>\n<VTKFile>", "XML"),
             (b"<?xml version=\"1.0\"?>\n<COLLADA>", "COLLADA"),
-            (b"glTF\x02\0\0\0", "GL Transmission Format"),
-            (b"{\"asset\":{\"version\":\"2.0\"}}", "glTF"),
             (b"Kaydara FBX Binary  \0", "FBX"),
             (b"\x1f\x8b\x08\0", "gzip"),
             (b"7z\xbc\xaf\x27\x1c", "7-Zip"),

@@ -4,7 +4,7 @@
 pub use super::chosen::Accuracy;
 use super::chosen::Plan;
 use super::height_error::HeightError;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
 
 /// What a point of a pilot frame tells.
@@ -64,6 +64,7 @@ pub fn geometry_only(base: Plan) -> Plan {
         geometry_only: true,
         speckle: None,
         noise: false,
+        blur: Blur::None,
         ..base
     }
 }
@@ -77,13 +78,22 @@ pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
     let samples: Vec<u32> = samples.chain([finest]).collect();
     let radii = RADII.iter().filter(|&&r| r < base.cutoff_radii);
     let radii: Vec<f64> = radii.copied().chain([base.cutoff_radii]).collect();
+    let blurs = [Blur::None, Blur::Mean, Blur::Coherent];
+    let blurs = blurs.into_iter().filter(|&blur| blur <= base.blur);
     let mut plans = Vec::new();
-    for speckle in &speckles[base.speckle.is_none() as usize..] {
+    let both = speckles[base.speckle.is_none() as usize..].iter();
+    // A field is speckle's.
+    let both = both.flat_map(|speckle| {
+        let blurs = blurs.clone().map(move |blur| (speckle, blur));
+        blurs.filter(|(speckle, blur)| speckle.is_some() || *blur < Blur::Coherent)
+    });
+    for (speckle, blur) in both {
         for &noise in &noises[!base.noise as usize..] {
             for sampling in [Sampling::Planes, Sampling::Rays] {
                 for &samples_per_side in &samples {
                     plans.extend(radii.iter().map(|&cutoff_radii| Plan {
                         speckle: *speckle,
+                        blur,
                         noise,
                         sampling,
                         samples_per_side,
@@ -101,6 +111,7 @@ pub fn candidates(base: &Plan, finest: u32) -> Vec<Plan> {
 pub fn no_finer(plan: &Plan, other: &Plan) -> bool {
     let rays = |plan: &Plan| plan.sampling == Sampling::Rays && plan.samples_per_side > 1;
     plan.speckle.is_some() <= other.speckle.is_some()
+        && plan.blur <= other.blur
         && plan.noise <= other.noise
         && rays(plan) <= rays(other)
         && plan.samples_per_side <= other.samples_per_side

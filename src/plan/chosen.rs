@@ -1,9 +1,10 @@
 //! A plan, what it says of effects, what it promised, and what of a scene it depends on.
 
-use super::grain_extent::GrainExtent;
 use super::height_error::PROMISED_SHARE;
-use crate::frame::Sampling;
+use crate::camera::GrainExtent;
+use crate::frame::{Blur, LensBlur, Sampling, reach_px};
 use crate::math::Aperture;
+use crate::speckle::frame_field::WIDEST;
 use crate::speckle::lookup::Method;
 use serde::{Serialize, Serializer};
 
@@ -20,6 +21,8 @@ pub struct Plan {
     pub samples_per_side: u32,
     /// Which samples are traced.
     pub sampling: Sampling,
+    /// What is done of the lens's blur.
+    pub blur: Blur,
     /// Beam radii at which light is taken to end.
     pub cutoff_radii: f64,
     /// 1/e² half width of the line's image where it is narrowest on the part, for
@@ -29,7 +32,7 @@ pub struct Plan {
     #[serde(flatten)]
     pub grain: GrainExtent,
     /// Blur of the lens where the laser plane crosses the part, at its largest,
-    /// pixels; not modelled.
+    /// pixels.
     pub defocus_blur_px: f64,
     /// Share whose blur is wider than two standard deviations of the line: of the points of
     /// the frames the plan looked at, without a tolerance of places of the laser plane.
@@ -37,7 +40,7 @@ pub struct Plan {
     /// How many times as far speckle moves centroids under that blur as in sharp images, at
     /// most; 1 without speckle.
     pub defocus_noise_factor: f64,
-    /// Airy radius 1.22·λ·N·(1 + |m|), pixels; not modelled.
+    /// Airy radius 1.22·λ·N·(1 + |m|), pixels.
     pub airy_radius_px: f64,
     /// Movement of the line's image for 1 mm along the beam, pixels per mm.
     pub px_per_mm: f64,
@@ -52,6 +55,30 @@ pub struct Plan {
     pub effects: Vec<Effect>,
     /// `None`: the scene states no tolerance.
     pub accuracy: Option<Accuracy>,
+}
+
+impl Plan {
+    /// The lens's blur, as a frame has to know it.
+    pub(crate) fn lens_blur(&self) -> LensBlur {
+        let grain = self.grain.speckle_extent_px;
+        let reach = reach_px(self.defocus_blur_px, grain[0].max(grain[1])).ceil() as usize;
+        LensBlur {
+            blur: self.blur,
+            reach: if self.blur == Blur::None { 0 } else { reach },
+            line_sigma: self.line_half_width_px / 2.0,
+        }
+    }
+
+    /// Where the field on the surface goes through the lens: how many times as wide as the lens's
+    /// its pupil is to be, so that nothing of the line's own breadth of frequencies is missed.
+    pub(crate) fn wider(&self) -> Option<f64> {
+        let sigma = self.line_half_width_px / 2.0;
+        let grain = self.grain.speckle_extent_px[0].max(self.grain.speckle_extent_px[1]);
+        // The power of √E's spectrum has a standard deviation of 1/(4πσ) for a Gaussian: 3.1 of these
+        // on either side.
+        let wider = (1.0 + 0.5 * grain / sigma).min(WIDEST);
+        (self.blur == Blur::Coherent).then_some(wider)
+    }
 }
 
 /// What can move a height.

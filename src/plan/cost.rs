@@ -2,7 +2,7 @@
 
 use super::accuracy::Pilot;
 use super::chosen::Plan;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling, TILE, reach_px};
 use crate::speckle::lookup::Method;
 
 /// Time of one of each, ns: fitted to the demo's rows of `lasertrace chart`, which they
@@ -21,6 +21,8 @@ struct Cost {
     speckle_sample: f64,
     /// A column of a geometric profile.
     geometric: f64,
+    /// A sample of a tile that the lens spreads light in.
+    blur: f64,
 }
 
 const COST: Cost = Cost {
@@ -32,6 +34,7 @@ const COST: Cost = Cost {
     speckle_field: 1.2e6,
     speckle_sample: 10.0,
     geometric: 700.0,
+    blur: 30.0,
 };
 
 fn speckle_ns(plan: &Plan, samples: f64) -> f64 {
@@ -56,6 +59,17 @@ impl Pilot {
             .map_or(widest, |(_, pixels)| *pixels)
     }
 
+    fn blur_ns(&self, plan: &Plan) -> f64 {
+        let grain = plan.grain.speckle_extent_px;
+        let margin = |grain: f64| reach_px(plan.defocus_blur_px, grain);
+        let high = self.looked_at(plan) / self.columns + 2.0 * margin(grain[1]);
+        let wide = self.columns * (1.0 + 2.0 * margin(grain[0]) / TILE);
+        match plan.blur {
+            Blur::None => 0.0,
+            _ => COST.blur * wide * high * (plan.samples_per_side as f64).powi(2),
+        }
+    }
+
     /// Predicted time of one frame on one core, ms, from the counts of what it does
     /// and the times these took in the demo (`lasertrace chart`): good to a factor of
     /// two elsewhere, and for comparing plans.
@@ -72,6 +86,7 @@ impl Pilot {
                 };
                 light
                     + COST.pixel * self.pixels
+                    + self.blur_ns(plan)
                     + speckle_ns(plan, samples)
                     + noise_ns(plan, self.pixels)
             }

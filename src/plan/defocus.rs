@@ -1,9 +1,10 @@
-//! What the plan says of the lens's blur, which images do not have.
+//! What the plan says of the lens's blur.
 
 use super::accuracy::{Pilot, PilotPoint};
 use super::chosen::{Effect, EffectKind, Plan, SpeckleOptics};
 use super::height_error::HeightError;
-use crate::speckle::theory::{centroid_noise, defocus_noise};
+use crate::frame::Blur;
+use crate::speckle::theory::{AIRY_SIGMA, centroid_noise, defocus_noise};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How many times as far speckle moves the centroid of a line of standard deviation `sigma`
@@ -23,18 +24,40 @@ pub(super) fn noise_factor(
 }
 
 impl Plan {
-    pub(super) fn defocus_effect(&self) -> Effect {
-        let words = self.defocus_in_words();
-        Effect::new(EffectKind::Defocus, false, "sharp image".into(), words)
+    fn blur_method(&self) -> String {
+        match self.blur {
+            Blur::None => "sharp image",
+            Blur::Mean => "light spread by the pupil, speckle multiplied into it",
+            Blur::Coherent => "the field on the surface spread by the pupil",
+        }
+        .into()
     }
 
-    /// What defocus does, and to how many points; it is not modelled.
+    pub(crate) fn defocus_effect(&self) -> Effect {
+        let words = self.defocus_in_words();
+        let modelled = self.blur != Blur::None;
+        Effect::new(EffectKind::Defocus, modelled, self.blur_method(), words)
+    }
+
+    pub(crate) fn diffraction_effect(&self) -> Effect {
+        let words = format!("Airy radius {:.2} px", self.airy_radius_px);
+        let modelled = self.blur != Blur::None;
+        Effect::new(EffectKind::Diffraction, modelled, self.blur_method(), words)
+    }
+
+    /// What defocus does, and to how many points.
     pub fn defocus_in_words(&self) -> String {
+        let left = match self.blur {
+            Blur::None => "than in these images, for which uncertainties are stated",
+            Blur::Mean => {
+                "than in focus, of which these images show only a part; uncertainties have all of it"
+            }
+            Blur::Coherent => "than in focus",
+        };
         format!(
             "blur of up to {:.1} px on a line {:.1} px wide: its centroid stays, speckle moves \
-             it up to {:.2} times as far as in these images, for which uncertainties are \
-             stated; {:.1} % of the points have a blur wider than two standard deviations of \
-             their line",
+             it up to {:.2} times as far {left}; {:.1} % of the points have a blur wider than two \
+             standard deviations of their line",
             self.defocus_blur_px,
             2.0 * self.line_half_width_px,
             self.defocus_noise_factor,
@@ -71,7 +94,7 @@ impl Pilot {
     /// Airy's pattern has it: √(σ² + s²)/σ, as for a Gaussian pupil in one dimension, where
     /// the covariance of the field follows from the line's and the pupil's.
     pub fn diffraction(&self) -> Vec<HeightError> {
-        let core = self.grain.as_ref().map_or(0.0, |grain| 0.42 * grain.size);
+        let core = (self.grain.as_ref()).map_or(0.0, |grain| AIRY_SIGMA * grain.size);
         self.each(|p| HeightError::random(p.speckle * ((core / p.sigma).hypot(1.0) - 1.0)))
     }
 

@@ -20,6 +20,8 @@ pub struct Optics<'a> {
     pub camera: &'a Camera,
     /// Where the laser stands before the camera.
     pub camera_from_laser: &'a Rigid,
+    /// Whether what they look at may be brighter than white paint and send light unevenly through the pupil.
+    pub glossy: bool,
 }
 
 /// Where the laser's light meets the part along a path, in the camera's view: the middle of a

@@ -43,6 +43,7 @@ fn light_and_view_meet_where_both_are() {
             laser: &laser,
             camera: &camera,
             camera_from_laser: &laser_from_camera.inverse(),
+            glossy: false,
         };
         let region = region(&optics, 1e-9);
         let places = optics.overlap();

@@ -5,11 +5,9 @@ mod chosen;
 mod cost;
 mod cutoff;
 mod defocus;
-mod grain_extent;
 pub mod height_error;
 pub mod in_view;
 pub mod rules;
 pub mod words;
 
 pub use chosen::Plan;
-pub use grain_extent::GrainExtent;

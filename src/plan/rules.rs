@@ -4,12 +4,14 @@
 pub use super::chosen::{Effect, EffectKind, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
-use super::grain_extent::GrainExtent;
 use super::in_view::Optics;
-use crate::frame::Sampling;
+use crate::camera::GrainExtent;
 use crate::frame::sampling_error;
+use crate::frame::{Blur, Sampling};
+use crate::laser::CUTOFF_RADII;
 use crate::math::{DVec2, DVec3};
-use crate::speckle::theory::{centroid_noise, samples_across_pixel};
+use crate::speckle::lookup::Method;
+use crate::speckle::theory::{AIRY_SIGMA, centroid_noise, samples_across_pixel};
 
 /// Error of the correlation of two frames up to which the pattern's slip is left out:
 /// what correlations of the patterns are good to.
@@ -58,6 +60,7 @@ impl Plan {
             laser,
             camera,
             camera_from_laser,
+            glossy,
         } = optics;
         let line = LineImage::over(optics, places);
         let pitch = camera.sensor.pixel_pitch;
@@ -73,7 +76,15 @@ impl Plan {
             noise: camera.sensor.noise.is_some(),
             samples_per_side: samples,
             sampling: Sampling::Planes,
-            cutoff_radii: cutoff_radii(laser, camera, places),
+            blur: match line.blur(speckle.as_ref()) {
+                // One that does not widen the line may still move it.
+                Blur::None if glossy => Blur::Mean,
+                blur => blur,
+            },
+            cutoff_radii: match glossy {
+                true => CUTOFF_RADII,
+                false => cutoff_radii(laser, camera, places),
+            },
             line_half_width_px: line.half_width_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
@@ -96,13 +107,14 @@ impl Plan {
         };
         let slip = speckle.as_ref().map(|optics| line.slip(optics));
         plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
-        plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
+        plan.effects = plan.explain(optics, speckle.as_ref(), exposure, sigma);
         plan.effects.extend(slip);
         plan
     }
 
     fn explain(
         &self,
+        optics: &Optics,
         speckle: Option<&SpeckleOptics>,
         exposure: Option<ExposureMotion>,
         sigma: f64,
@@ -130,17 +142,16 @@ impl Plan {
                 ),
             ),
             self.defocus_effect(),
-            effect(
-                EffectKind::Diffraction,
-                false,
-                "sharp image".into(),
-                format!("Airy radius {:.2} px", self.airy_radius_px),
-            ),
+            self.diffraction_effect(),
             effect(
                 EffectKind::Reflections,
                 false,
                 "direct light only".into(),
-                "the surface is diffuse: interreflections are faint and wide".into(),
+                match optics.glossy {
+                    true => "not modelled: corners of metal show ghosts as bright as the line",
+                    false => "the surface is diffuse: interreflections are faint and wide",
+                }
+                .into(),
             ),
             self.exposure_effect(exposure),
         ]
@@ -196,10 +207,33 @@ struct LineImage {
     widest: f64,
     /// Largest |1 − L_f/L_o|.
     defocus: f64,
+    /// Largest b/σ, and largest share by which the lens makes the line wider; σ/h of the thinnest line.
+    blur_sigmas: f64,
+    widening: f64,
+    sigma_grains: f64,
     grain: GrainExtent,
 }
 
+/// Share by which the lens may make lines wider so that it is left out.
+const WIDENING_TOLERANCE: f64 = 0.02;
+/// Widest blur, in standard deviations of the line, and thinnest line, in grains, for which speckle may be
+/// multiplied into the light: its centroid noise then is at most 3 % short, and the lens's share of it
+/// at most as much.
+const MOST_SIGMAS: f64 = 1.0;
+const LEAST_GRAINS: f64 = 2.0;
+
 impl LineImage {
+    /// What is to be done of the lens's blur.
+    fn blur(&self, speckle: Option<&SpeckleOptics>) -> Blur {
+        let method = speckle.map(|optics| optics.method);
+        let texture = self.blur_sigmas <= MOST_SIGMAS && self.sigma_grains >= LEAST_GRAINS;
+        match method {
+            _ if self.widening < WIDENING_TOLERANCE => Blur::None,
+            Some(Method::Field) if !texture => Blur::Coherent,
+            _ => Blur::Mean,
+        }
+    }
+
     /// Whether the pattern's slip on surfaces out of focus is modelled, and why. Slip adds
     /// up from frame to frame, so that the pair of correlated frames counts whose
     /// correlation it changes most.
@@ -239,6 +273,7 @@ impl LineImage {
             laser,
             camera,
             camera_from_laser,
+            ..
         } = optics;
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
@@ -247,6 +282,9 @@ impl LineImage {
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
+            blur_sigmas: 0.0,
+            widening: 0.0,
+            sigma_grains: f64::INFINITY,
             grain: GrainExtent::NONE,
         };
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
@@ -266,6 +304,12 @@ impl LineImage {
             if let Some(px) = moved(DVec3::Y * width) {
                 image.half_width_px = image.half_width_px.min(px);
                 image.blurred_share += f64::from(blur_px > px) * each;
+                let (sigma, airy) = (px / 2.0, AIRY_SIGMA * image.grain.speckle_extent_px[1]);
+                let added = (blur_px * blur_px / 16.0 + airy * airy) / (sigma * sigma);
+                image.widening = image.widening.max((1.0 + added).sqrt() - 1.0);
+                image.blur_sigmas = image.blur_sigmas.max(blur_px / sigma);
+                let grains = sigma / image.grain.speckle_extent_px[1];
+                image.sigma_grains = image.sigma_grains.min(grains);
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);

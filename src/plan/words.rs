@@ -1,7 +1,7 @@
 //! Plans in words.
 
 use super::chosen::Plan;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::speckle::lookup::Method;
 
 /// A plan's values in words.
@@ -28,5 +28,11 @@ pub fn words(plan: &Plan) -> Vec<String> {
     };
     let noise = if plan.noise { "noise" } else { "no noise" };
     let light = format!("light to {:.2} beam radii", plan.cutoff_radii);
-    vec![sampling, speckle.into(), noise.into(), light]
+    let mut words = vec![sampling, speckle.into(), noise.into(), light];
+    match plan.blur {
+        Blur::None => words.push("sharp image".into()),
+        Blur::Mean => words.push("light blurred".into()),
+        Blur::Coherent => words.push("field blurred".into()),
+    }
+    words
 }

@@ -122,8 +122,9 @@ impl Cuts {
         }
     }
 
-    /// Of each peak, in the order of columns; `sigmas` are the widths of its line, px, and
-    /// `variances` those of the light of such lines by speckle, relative.
+    /// Of each peak, in the order of columns; `sigmas` are the widths of its line, px,
+    /// `variances` those of the light of such lines by speckle, relative, and `spreads` what the lens
+    /// adds to the widths², also of what an edge leaves, px².
     ///
     /// A hidden Markov chain of two states, whole and cut, along the columns (Rabiner 1989,
     /// forward and backward). A column's evidence is its light and its width over what is
@@ -135,12 +136,13 @@ impl Cuts {
         expected: &[Option<Expected>],
         sigmas: &[f64],
         variances: &[f64],
+        spreads: &[f64],
     ) -> Vec<Cut> {
         let mut widths = Widths::default();
         let seen: Vec<(f64, f64)> = (0..peaks.len())
             .map(|i| match &expected[i] {
                 Some(expected) if !expected.alone => {
-                    self.evidence(&peaks[i], expected, variances[i], &mut widths)
+                    self.evidence(&peaks[i], expected, variances[i], spreads[i], &mut widths)
                 }
                 _ => (1.0, 0.0),
             })
@@ -193,11 +195,13 @@ impl Cuts {
         peak: &Peak,
         expected: &Expected,
         variance: f64,
+        spread: f64,
         widths: &mut Widths,
     ) -> (f64, f64) {
         let variance = variance.max(LEAST_VARIANCE);
-        let square = expected.sigma.powi(2);
-        let whole = square + PIXEL_VARIANCE;
+        let whole = expected.sigma.powi(2) + PIXEL_VARIANCE;
+        // Of the line without the lens; at least a tenth of what it is with it.
+        let square = (expected.sigma.powi(2) - spread).max(0.01 * expected.sigma.powi(2));
         let light = peak.intensity / expected.light;
         let width = (peak.sigma.powi(2) + PIXEL_VARIANCE) / whole;
         // Of a width² by noise: Σx⁴ over the window.
@@ -205,7 +209,7 @@ impl Cuts {
         let noise = (peak.noise / peak.intensity).powi(2) * 0.4 * half.powi(5);
         let of_width = VARIANCE_OF_WIDTH * variance + noise / (whole * whole);
         let (mut sum, mut off) = (f64::MIN_POSITIVE, 0.0);
-        let narrow = widths.of(&self.remnants, expected.sigma);
+        let narrow = widths.of(&self.remnants, (whole - square) / square);
         for (remnant, &(narrow, log_narrow)) in self.remnants.iter().zip(narrow) {
             let dark = remnant.log_light + light / remnant.light - light;
             let unlikely = dark / variance + (log_narrow + width / narrow - width) / of_width;
@@ -222,8 +226,8 @@ impl Cuts {
     }
 }
 
-/// Widths² of remnants, with their pixels, over that of the whole line, and their logarithms; for
-/// one width of the line at a time, to 1 %.
+/// Widths² of remnants, with their pixels and lens, over that of the whole line, and their logarithms; for
+/// one share of pixels and lens in it at a time, to 2 %.
 #[derive(Default)]
 struct Widths {
     key: i32,
@@ -231,15 +235,14 @@ struct Widths {
 }
 
 impl Widths {
-    const PER_E_FOLD: f64 = 50.0;
+    const PER_E_FOLD: f64 = 25.0;
 
-    fn of(&mut self, remnants: &[Remnant], sigma: f64) -> &[(f64, f64)] {
-        let key = (sigma.max(1e-3).ln() * Widths::PER_E_FOLD).round() as i32;
+    /// `added` is what pixels and lens add to the square of the line's own width, over that.
+    fn of(&mut self, remnants: &[Remnant], added: f64) -> &[(f64, f64)] {
+        let key = (added.min(1e6).ln() * Widths::PER_E_FOLD).round() as i32;
         if key != self.key || self.narrow[0].0 == 0.0 {
-            let square = (2.0 * key as f64 / Widths::PER_E_FOLD).exp();
-            let of = |remnant: &Remnant| {
-                (remnant.width * square + PIXEL_VARIANCE) / (square + PIXEL_VARIANCE)
-            };
+            let added = (key as f64 / Widths::PER_E_FOLD).exp();
+            let of = |remnant: &Remnant| (remnant.width + added) / (1.0 + added);
             for (narrow, remnant) in self.narrow.iter_mut().zip(remnants) {
                 *narrow = (of(remnant), of(remnant).ln());
             }
@@ -278,7 +281,14 @@ mod tests {
         };
         let variances = vec![VARIANCE; left.len()];
         let sigmas = vec![whole.sigma; left.len()];
-        Cuts::new(0.3).find(&peaks, &vec![Some(whole); left.len()], &sigmas, &variances)
+        let sharp = vec![0.0; left.len()];
+        Cuts::new(0.3).find(
+            &peaks,
+            &vec![Some(whole); left.len()],
+            &sigmas,
+            &variances,
+            &sharp,
+        )
     }
 
     /// By tables, beyond 1.5 σ lie 0.0668 of a Gaussian, 1.9388 σ off its middle on average; their
@@ -351,6 +361,7 @@ mod tests {
                 &[Some(whole); 400],
                 &[whole.sigma; 400],
                 &[VARIANCE; 400],
+                &[0.0; 400],
             );
             // The line's ends are as likely cut as not.
             let inner = &cuts[20..380];

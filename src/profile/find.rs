@@ -106,7 +106,7 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
         }
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
-    compare_neighbours(&mut peaks, columns, settings.expected_sigma);
+    compare_neighbours(&mut peaks, columns, settings);
     peaks
 }
 

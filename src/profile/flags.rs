@@ -3,7 +3,7 @@
 use super::neighbourhood::Neighbourhood;
 use super::slope::{VARIANCE_OF_A_CLIMB, slope, touching};
 use super::uncertainty::RowError;
-use super::{Flags, Peak};
+use super::{Flags, Peak, PeakSettings};
 
 /// A line is weak below this share of the median height of the frame's lines: a
 /// Gaussian beam of which an edge leaves this is lit beyond 2.4 σ only.
@@ -16,7 +16,9 @@ pub const WEAK_SNR: f64 = 10.0;
 pub const WIDE_RATIO: f64 = 2.0;
 
 /// A line that is narrower, over five columns, than this share of those around, or these than
-/// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ.
+/// of what is expected, is the tail that an edge along it leaves: of a Gaussian cut beyond 1.5 σ. What the
+/// lens adds to widths is left out; of lines that it makes more than twice as wide, squared, nothing is
+/// said, as speckle's own width then decides.
 pub const NARROW_RATIO: f64 = 0.4;
 
 /// Of a line by itself: whether its column has another, is saturated, and has its window on the
@@ -30,7 +32,10 @@ pub(super) fn of_line(double: bool, saturated: bool, inside: bool) -> Flags {
 }
 
 /// Sets the flags that compare a line with its neighbours and with the others.
-pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f64) {
+pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, settings: &PeakSettings) {
+    let expected_sigma = settings.expected_sigma;
+    let of_lens = settings.lens_sigma.powi(2);
+    let sharp = |sigma: f64| (sigma * sigma - of_lens).max(0.0).sqrt();
     let height = median(peaks.iter().map(|p| p.height));
     let sigma = median(peaks.iter().map(|p| p.sigma)).max(expected_sigma);
     let widths = Neighbourhood::new(columns, peaks.iter().map(|p| (p.column, p.sigma)));
@@ -50,7 +55,9 @@ pub fn compare_neighbours(peaks: &mut [Peak], columns: usize, expected_sigma: f6
         // A column by itself may be as narrow as a grain.
         let beside = widths.beside(peak.column).unwrap_or(peak.sigma);
         let around = widths.around(peak.column).1.unwrap_or(peak.sigma);
-        let narrow = beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma;
+        let (beside, around) = (sharp(beside), sharp(around));
+        let narrow = expected_sigma >= settings.lens_sigma
+            && (beside < NARROW_RATIO * around || around < NARROW_RATIO * expected_sigma);
         let flags = &mut peaks[i].flags;
         flags.set(Flags::EDGE, !unbroken || narrow);
         flags.set(Flags::WEAK, weak);

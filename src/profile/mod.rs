@@ -3,12 +3,13 @@
 //!
 //! `background` says what counts are noise, `find` which lines a frame holds and
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
-//! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor; `cut` which of them edges
+//! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor, `blurred` by the lens or sharp; `cut` which of them edges
 //! along them cut, `horizon` which ones edges may cut that single columns do not show, `clipping` what
 //! saturation leaves of them.
 
 mod adjust;
 mod background;
+mod blurred;
 mod calibration;
 mod calibration_file;
 mod clipping;
@@ -29,6 +30,7 @@ mod widths;
 
 pub use adjust::{Adjustment, Dot, LinePoint, Observations, adjust};
 pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
+pub use blurred::Blurred;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::blinding_height;
 pub use find::{CANDIDATE_SHARE, find_peaks};

@@ -154,6 +154,9 @@ pub struct PeakSettings {
     /// 0 if it says nothing. A line is wide or cut if it is so beside the greater
     /// of this and the frame's median.
     pub expected_sigma: f64,
+    /// Standard deviation that the lens's diffraction spreads every line by, also what an edge leaves of
+    /// one, px; 0 if the image is sharp.
+    pub lens_sigma: f64,
 }
 
 impl PeakSettings {
@@ -164,6 +167,7 @@ impl PeakSettings {
             choice: Choice::default(),
             max_count,
             expected_sigma: 0.0,
+            lens_sigma: 0.0,
         }
     }
 }

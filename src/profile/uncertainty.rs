@@ -1,6 +1,7 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
 //! light: speckle, shot noise, background noise, rounding.
 
+use super::blurred::Blurred;
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
 use super::horizon::{UNSAID, offsets};
@@ -11,6 +12,7 @@ use super::slope::{Run, runs};
 use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder};
+use crate::math::DVec2;
 
 /// Greatest relative variance of a column's light, 1/M for M independent grains
 /// across the line, up to which errors were found normal and of first order
@@ -65,7 +67,8 @@ pub struct RowError {
 /// this are, squared, what a bend of the line within the column does (`bend_variance`) and
 /// what an edge along the line that cuts it, times the chance that there is one (`Cuts`); on a
 /// steep surface σ is that of the column's stretch of the line; and of a line that saturates the
-/// first term is what clipping leaves of it (`Clipping`). The
+/// first term is what clipping leaves of it (`Clipping`); behind a lens that blurs, what the blur makes
+/// of it ([`Blurred`]). The
 /// ratio that a centroid is has terms of second order too, left out here: with few grains
 /// across the line it strays less than stated (`tests/uncertainty.rs` sums them exactly).
 ///
@@ -80,6 +83,8 @@ pub struct ErrorModel {
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
+    /// `None`: images are sharp.
+    blurred: Option<Blurred>,
 }
 
 impl ErrorModel {
@@ -95,6 +100,15 @@ impl ErrorModel {
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
+            blurred: None,
+        }
+    }
+
+    /// The same for images behind a lens that blurs.
+    pub fn behind_lens(self, blurred: Blurred) -> ErrorModel {
+        ErrorModel {
+            blurred: Some(blurred),
+            ..self
         }
     }
 
@@ -104,6 +118,12 @@ impl ErrorModel {
             gain_dn_per_e: 0.0,
             ..self
         }
+    }
+
+    /// What the lens adds to the square of a line's width at a place, px², as far as it is modelled.
+    pub(crate) fn spread(&self, place: DVec2) -> f64 {
+        let blurred = self.blurred.as_ref();
+        blurred.map_or(0.0, |blurred| blurred.spread(place))
     }
 
     /// How far each peak's row may be off. `peaks` are those of one frame, in the order of its
@@ -116,10 +136,14 @@ impl ErrorModel {
         let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lined = peaks.iter().zip(&sigmas);
-        let lined = lined.map(|(peak, &sigma)| self.places.at(peak.place(), sigma));
+        let lined = lined.map(|(peak, &sigma)| match &self.blurred {
+            None => self.places.at(peak.place(), sigma),
+            Some(blurred) => blurred.at(&self.places, peak.place(), sigma),
+        });
         let variances: Vec<Variances> = lined.collect();
         let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
-        let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights);
+        let spreads: Vec<f64> = peaks.iter().map(|peak| self.spread(peak.place())).collect();
+        let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights, &spreads);
         let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
         let of = |i: usize| {

@@ -5,7 +5,7 @@
 pub(crate) mod aimed;
 mod forecast;
 mod laps;
-mod racers;
+pub mod racers;
 mod rays;
 pub(crate) mod table;
 

@@ -5,6 +5,7 @@ pub(crate) mod axes;
 pub mod chart;
 pub mod color;
 pub mod formats;
+pub mod lens_plot;
 pub mod limits_plot;
 pub mod page;
 pub mod picture;

@@ -1,11 +1,14 @@
-//! The error model of a scene's peaks.
+//! What data sheets of a scene's laser and camera tell of its points.
 
 use crate::camera::Camera;
-use crate::profile::{ErrorModel, SpeckleGrain};
+use crate::frame::Blur;
+use crate::math::Rigid;
+use crate::profile::{Blurred, Calibration, ErrorModel, SpeckleGrain};
 use crate::scene::Scene;
 
-/// What data sheets of the scene's laser and camera tell of the errors of peaks.
-pub(crate) fn error_model(scene: &Scene) -> ErrorModel {
+/// What data sheets of the scene's laser and camera tell of the errors of peaks, in images with such
+/// a blur.
+pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
     let Camera { sensor, .. } = &scene.camera;
     let shot = sensor.noise.map_or(0.0, |_| sensor.gain_dn_per_e);
     let grain = scene.speckle.map(|model| SpeckleGrain {
@@ -15,5 +18,29 @@ pub(crate) fn error_model(scene: &Scene) -> ErrorModel {
         contrast: model.coherence.contrast(),
         aperture: model.aperture,
     });
-    ErrorModel::new(scene.measure.finder, shot, grain)
+    let model = ErrorModel::new(scene.measure.finder, shot, grain);
+    match grain.filter(|_| blur != Blur::None) {
+        None => model,
+        Some(grain) => model.behind_lens(Blurred::new(
+            &scene.camera,
+            &perfect_calibration(scene),
+            grain,
+        )),
+    }
+}
+
+/// The true values of a scene's sensor.
+pub(crate) fn perfect_calibration(scene: &Scene) -> Calibration {
+    let camera_from_laser = camera_from_laser(scene);
+    Calibration::perfect(
+        scene.camera.model(),
+        scene.head_from_camera,
+        camera_from_laser.translation,
+        camera_from_laser.rotation.y_axis,
+    )
+}
+
+/// Pose of the laser in the camera's frame.
+pub(crate) fn camera_from_laser(scene: &Scene) -> Rigid {
+    scene.head_from_camera.inverse() * scene.head_from_laser
 }

@@ -60,10 +60,13 @@ fn create_new(path: &Path) -> io::Result<File> {
     }
 }
 
+/// The end of the name of a file that one run alone writes, before it is whole.
+pub const PART: &str = ".part";
+
 /// The name under which a file is written before it is whole.
-fn unfinished(path: &Path) -> PathBuf {
+fn unfinished(path: &Path, end: &str) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".part");
+    name.push(end);
     path.with_file_name(name)
 }
 
@@ -73,7 +76,7 @@ pub fn write(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
-    replace(path, |out| {
+    replace(path, PART, |out| {
         content(out)?;
         out.flush()?;
         out.get_ref().sync_data()
@@ -81,16 +84,18 @@ pub fn write(
 }
 
 /// The same without waiting for the disk, for files by the thousand whose checksum
-/// is kept elsewhere.
-pub fn write_checked_later(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace(path, |out| out.write_all(bytes))
+/// is kept elsewhere. `part` ends the name of the file that is not whole: where several runs may write
+/// the same file at once, each needs another.
+pub fn write_checked_later(path: &Path, bytes: &[u8], part: &str) -> Result<()> {
+    replace(path, part, |out| out.write_all(bytes))
 }
 
 fn replace(
     path: &Path,
+    part: &str,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
-    let part = unfinished(path);
+    let part = unfinished(path, part);
     let written = create_new(&part).and_then(|file| {
         let mut out = BufWriter::with_capacity(1 << 18, file);
         content(&mut out)?;
@@ -149,15 +154,15 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// Removes the files `prefix*` that an earlier run left in `folder`.
-pub fn remove_all(folder: &Path, prefix: &str) -> Result<()> {
+/// Removes the files with such names that an earlier run left in `folder`.
+pub fn remove_all(folder: &Path, is_one: impl Fn(&str) -> bool) -> Result<()> {
     let entries = match check_own_folder(folder).and_then(|()| fs::read_dir(folder)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         other => other.map_err(Error::io("read folder", folder))?,
     };
     for entry in entries {
         let entry = entry.map_err(Error::io("read folder", folder))?;
-        if entry.file_name().to_string_lossy().starts_with(prefix) {
+        if is_one(&entry.file_name().to_string_lossy()) {
             remove(&entry.path())?;
         }
     }

@@ -4,19 +4,19 @@ use super::journal::{Checksum, FrameRecord, Journal, checksum};
 use super::simulation::Simulation;
 use super::{Control, files};
 use crate::error::Result;
+use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
 use crate::profile::Peak;
 use crate::report::picture::encode_counts;
 use rayon::prelude::*;
 use std::fmt::Write;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What a frame is when it is measured.
 pub struct FrameContent {
     pub points: Vec<CloudPoint>,
-    /// Peaks whose blur, which images do not have, is wider than two standard deviations.
+    /// Peaks whose blur is wider than two standard deviations of their sharp line.
     pub blurred: u32,
     /// Bytes of its files: the profile, and the image if the scene asks for it.
     pub files: Vec<Vec<u8>>,
@@ -28,8 +28,12 @@ impl FrameContent {
         let image = counts.filter(|_| simulation.scene.write_frames);
         let profile = [profile_csv(&peaks, &points)].into_iter();
         let is_blurred = |peak: &&Peak| {
-            let blur = simulation.defocus_blur_px(peak);
-            blur.is_some_and(|blur| blur > 2.0 * peak.sigma)
+            let blur = simulation.defocus_blur_px(peak).unwrap_or(0.0);
+            let sharp = match simulation.plan.blur {
+                Blur::None => peak.sigma.powi(2),
+                _ => peak.sigma.powi(2) - blur * blur / 16.0,
+            };
+            blur * blur > 4.0 * sharp
         };
         FrameContent {
             blurred: peaks.iter().filter(is_blurred).count() as u32,
@@ -44,6 +48,8 @@ pub struct Run<'a> {
     pub simulation: &'a Simulation,
     pub out: &'a Path,
     pub control: &'a Control<'a>,
+    /// The end of the names of files that are not whole.
+    pub unfinished: &'a str,
     /// Frames finished so far.
     pub done: AtomicU64,
 }
@@ -66,7 +72,7 @@ impl Run<'_> {
         let mut files = Vec::new();
         for (name, bytes) in self.names(frame).iter().zip(&content.files) {
             files.push(checksum(bytes));
-            files::write_checked_later(name, bytes)?;
+            files::write_checked_later(name, bytes, self.unfinished)?;
         }
         Ok(FrameRecord {
             frame,
@@ -96,10 +102,13 @@ impl Run<'_> {
 
     /// Takes the frames, some at a time, into the journal in their order. Of the ones
     /// at hand when the run stops, those up to the first unfinished one are kept.
-    pub fn frames(&self, mut left: Range<u32>, journal: &mut Journal) -> Result<()> {
+    pub fn frames(&self, mut left: impl Iterator<Item = u32>, journal: &mut Journal) -> Result<()> {
         let together = 8 * rayon::current_num_threads();
-        while !left.is_empty() {
+        loop {
             let now: Vec<u32> = left.by_ref().take(together).collect();
+            if now.is_empty() {
+                return Ok(());
+            }
             let mut records: Vec<Result<FrameRecord>> = now
                 .into_par_iter()
                 .map(|frame| {
@@ -116,7 +125,6 @@ impl Run<'_> {
                 return Err(error);
             }
         }
-        Ok(())
     }
 }
 

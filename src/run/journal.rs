@@ -43,8 +43,14 @@ pub struct RunKey {
 }
 
 impl RunKey {
+    /// A short name of it: the first of the SHA-256 of all of it.
+    pub fn job(&self) -> String {
+        let sum = checksum(&serde_json::to_vec(self).expect("a key is JSON"));
+        sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
     /// What differs, in the user's words.
-    fn difference(&self, old: &RunKey) -> Option<String> {
+    pub fn difference(&self, old: &RunKey) -> Option<String> {
         let differ = |what: &str, old: &dyn std::fmt::Debug, new: &dyn std::fmt::Debug| {
             Some(format!("{what} was {old:?} and is {new:?}"))
         };
@@ -124,6 +130,20 @@ impl Journal {
         Ok((journal, kept))
     }
 
+    /// A new journal at `path`, whatever was there.
+    pub fn begin(path: &Path, header: &impl Serialize) -> Result<Journal> {
+        let file = files::open_own_file(path).map_err(Error::io("open", path))?;
+        file.set_len(0).map_err(Error::io("write", path))?;
+        let mut journal = Journal {
+            file,
+            path: path.to_owned(),
+            synced: Instant::now(),
+        };
+        let header = serde_json::to_vec(header).expect("a key is JSON");
+        journal.write(&framed(&header))?;
+        Ok(journal)
+    }
+
     /// Reads what there is of the run; how many bytes of the file are of use.
     fn check(&self, key: &RunKey, kept: &mut Vec<Vec<Checksum>>) -> Result<u64> {
         let failed = || Error::io("read", &self.path);
@@ -155,14 +175,10 @@ impl Journal {
         Ok(end)
     }
 
-    fn reader(&self) -> io::Result<Reader<'_>> {
+    fn reader(&self) -> io::Result<Reader<&File>> {
         let mut file = &self.file;
         file.seek(SeekFrom::Start(0))?;
-        Ok(Reader {
-            file: BufReader::with_capacity(1 << 18, file),
-            at: 0,
-            left: file.metadata()?.len(),
-        })
+        Reader::new(file, file.metadata()?.len())
     }
 
     /// Adds the next frames in order; nothing may be added after [`Self::records`].
@@ -218,13 +234,63 @@ fn framed(content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-struct Reader<'a> {
-    file: BufReader<&'a File>,
+/// The frames of a journal that no one writes to, one by one.
+pub struct Records {
+    reader: Reader<File>,
+    path: PathBuf,
+}
+
+impl Records {
+    pub fn open(path: &Path) -> Result<Records> {
+        let open = || -> io::Result<_> {
+            let file = File::open(path)?;
+            let length = file.metadata()?.len();
+            Reader::new(file, length)
+        };
+        Ok(Records {
+            reader: open().map_err(Error::io("open", path))?,
+            path: path.to_owned(),
+        })
+    }
+
+    /// The first record; `None` where it is none.
+    pub fn header<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
+        let content = self.content()?;
+        Ok(content.and_then(|content| serde_json::from_slice(&content).ok()))
+    }
+
+    /// The next frame; `None` where the file ends or is damaged.
+    pub fn next(&mut self) -> Result<Option<FrameRecord>> {
+        let content = self.content()?;
+        Ok(content.and_then(|content| postcard::from_bytes(&content).ok()))
+    }
+
+    fn content(&mut self) -> Result<Option<Vec<u8>>> {
+        self.reader.next().map_err(Error::io("read", &self.path))
+    }
+
+    /// Whether all bytes of the file were of use.
+    pub fn at_end(&self) -> bool {
+        self.reader.left == 0
+    }
+}
+
+struct Reader<F> {
+    file: BufReader<F>,
     at: u64,
     left: u64,
 }
 
-impl Reader<'_> {
+impl<F: Read> Reader<F> {
+    /// Of a file at its beginning, and its length.
+    fn new(file: F, length: u64) -> io::Result<Reader<F>> {
+        Ok(Reader {
+            file: BufReader::with_capacity(1 << 16, file),
+            at: 0,
+            left: length,
+        })
+    }
+
     /// The next content; `None` where the file ends or is damaged.
     fn next(&mut self) -> io::Result<Option<Vec<u8>>> {
         const HEAD: usize = 4 + 32;

@@ -3,7 +3,7 @@
 use super::simulation::{Pose, Simulation};
 use crate::camera::{Camera, Counts};
 use crate::error::Result;
-use crate::frame::LinePoint;
+use crate::frame::{Blur, LinePoint};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
@@ -11,6 +11,7 @@ use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks, weigh};
 use crate::scene::Scene;
+use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -19,6 +20,9 @@ use std::ops::Range;
 /// decides as much, and beside one the point may lie on another face. Not so where the line is seen
 /// to run along the wall; of a wall within as much of the sheet that says nothing.
 const WALL: f64 = 0.15;
+
+/// Root mean square distance of an arc from its chord, over the largest: √(8/15), of a parabola.
+const CHORD: f64 = 0.730_296_743_340_221_5;
 
 impl Simulation {
     /// How peaks are found in this scene's images.
@@ -32,6 +36,11 @@ impl Simulation {
             choice: measure.choice,
             max_count: camera.sensor.saturation_count(),
             expected_sigma: self.plan.line_half_width_px / 2.0,
+            lens_sigma: match self.plan.blur {
+                Blur::None => 0.0,
+                _ if self.plan.geometry_only => 0.0,
+                _ => AIRY_SIGMA * self.plan.grain.speckle_extent_px[1],
+            },
         }
     }
 
@@ -103,22 +112,23 @@ impl Simulation {
         let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
         let settings = self.peak_settings();
         let columns = self.scene.camera.sensor.resolution.x as usize;
-        compare_neighbours(&mut peaks, columns, settings.expected_sigma);
+        compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         weigh(&mut peaks, &errors);
         (peaks, errors)
     }
 
     /// The peak whose counts are what the sensor would expect of a line as wide as
-    /// the plan has it.
+    /// the plan and the lens have it.
     fn ideal_peak(&self, point: &LinePoint) -> Peak {
         let Camera { sensor, .. } = &self.scene.camera;
         let pixel = DVec2::new(point.column as f64 + 0.5, point.row);
         let irradiance = point.radiance * self.scene.camera.pupil_solid_angle(pixel);
         let wavelength = self.scene.laser.beam.wavelength;
         let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
-        let height = electrons.min(sensor.full_well_e) * sensor.gain_dn_per_e;
-        let sigma = self.plan.line_half_width_px / 2.0;
+        let of_laser = self.plan.line_half_width_px / 2.0;
+        let sigma = of_laser.hypot(self.errors.spread(pixel).sqrt());
+        let height = (electrons * of_laser / sigma).min(sensor.full_well_e) * sensor.gain_dn_per_e;
         let dark = sensor
             .noise
             .map_or(0.0, |n| n.read_noise_e * sensor.gain_dn_per_e);
@@ -164,6 +174,7 @@ impl Simulation {
                 true => in_all(&to_cad),
                 false => across(&to_cad),
             };
+            let deviation_sigma = deviation_sigma.hypot(CHORD * self.scene.chord);
             Some(CloudPoint {
                 position,
                 deviation,
@@ -193,7 +204,7 @@ impl Simulation {
         Some((jacobian.point, covariance))
     }
 
-    /// Diameter of the lens's blur, which images do not have, at a peak's point, px.
+    /// Diameter of the lens's blur at a peak's point, px.
     pub(crate) fn defocus_blur_px(&self, peak: &Peak) -> Option<f64> {
         let camera = &self.scene.camera;
         let blur = camera.defocus_blur(self.calibration.point(peak)?)?;

@@ -1,10 +1,11 @@
 //! Plans as others are measured against them, and as the scene names their methods.
 
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::laser::CUTOFF_RADII;
 use crate::plan::Plan;
 use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
+use crate::speckle::lookup::Method;
 
 /// What others are measured against: every sample traced, at least twice as many as the
 /// scene's rules or its plan ask for, to the end of the beam.
@@ -30,6 +31,10 @@ pub(crate) fn named(scene: &Scene, mut plan: Plan) -> Plan {
     if let Some(wanted) = methods.noise {
         plan.noise = wanted && scene.camera.sensor.noise.is_some();
     }
+    plan.blur = match methods.blur.unwrap_or(plan.blur) {
+        Blur::Coherent if plan.speckle != Some(Method::Field) => Blur::Mean,
+        blur => blur,
+    };
     plan.speckle_slips = methods.speckle_slips.unwrap_or(plan.speckle_slips);
     plan.samples_per_side = methods.samples_per_side.unwrap_or(plan.samples_per_side);
     plan.sampling = methods.sampling.unwrap_or(plan.sampling);

@@ -3,7 +3,7 @@
 
 mod check;
 mod control;
-mod error_model;
+pub(crate) mod error_model;
 pub(crate) mod files;
 pub(crate) mod forecast;
 mod frames;
@@ -21,6 +21,7 @@ mod report;
 mod scan;
 pub(crate) mod scan_speckle;
 mod search;
+mod shards;
 pub(crate) mod simulation;
 mod summary;
 pub(crate) mod surface_view;
@@ -35,7 +36,8 @@ pub use height_errors::HeightErrors;
 pub use ready::scene_plan;
 pub use reason::{Reason, Warning};
 pub use render::{RenderSummary, render};
-pub use scan::{ScanOptions, scan};
+pub use scan::{ScanOptions, ShardSummary, merge, scan, scan_shard};
+pub use shards::Shard;
 pub use simulation::{Simulation, part_in_view};
 pub use summary::ScanSummary;
 pub use survey::MeasuringRange;

@@ -6,7 +6,7 @@ use super::height_errors::HeightErrors;
 use super::simulation::Simulation;
 use crate::camera::Counts;
 use crate::error::Result;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::math::DVec2;
 use crate::plan::accuracy::{Grain, Pilot, PilotPoint};
 use crate::plan::rules::Plan;
@@ -124,6 +124,7 @@ impl Looked {
             noise: false,
             sampling: Sampling::Planes,
             samples_per_side: 4,
+            blur: Blur::None,
             ..self.full.plan.clone()
         };
         let scene = &self.full.scene;
@@ -164,7 +165,7 @@ impl Looked {
     /// Of lines without speckle and noise.
     fn points(&self, peaks: &[Peak]) -> Vec<PilotPoint> {
         let scene = &self.full.scene;
-        let speckle = error_model(scene).without_shot();
+        let speckle = error_model(scene, Blur::None).without_shot();
         let none = ErrorModel::new(scene.measure.finder, 0.0, None);
         let [with, without] = [speckle, none].map(|model| {
             let mut peaks = peaks.to_vec();
@@ -216,5 +217,8 @@ fn same_methods(a: &Plan, b: &Plan) -> bool {
         let rays = plan.sampling == Sampling::Rays && !one;
         (plan.geometry_only, plan.noise, rays, plan.samples_per_side)
     };
-    chosen(a) == chosen(b) && a.speckle == b.speckle && a.cutoff_radii == b.cutoff_radii
+    chosen(a) == chosen(b)
+        && a.blur == b.blur
+        && a.speckle == b.speckle
+        && a.cutoff_radii == b.cutoff_radii
 }

@@ -20,6 +20,8 @@ const NAMED: &str = "named in [plan]";
 /// Effects of a plan without a tolerance, as the scene's names changed them.
 fn told(methods: &PlanTable, mut plan: Plan) -> Plan {
     let mut list: Vec<Effect> = slip_named(methods).into_iter().collect();
+    // Whatever is named may change the blur.
+    list.extend([plan.defocus_effect(), plan.diffraction_effect()]);
     let mut tell = |effect, modelled, method: &str| {
         list.push(Effect::new(effect, modelled, method.into(), NAMED.into()));
     };
@@ -129,10 +131,13 @@ fn effects(scene: &Scene, choice: &mut Choice, base: &Plan) -> Result<Vec<Effect
     list.0.extend(others.cloned().map(|mut effect| {
         match effect.effect {
             EffectKind::Defocus => {
+                effect = plan.defocus_effect();
                 effect.influence_um = quantile(&choice.pilot.defocus());
-                effect.why = plan.defocus_in_words();
             }
-            EffectKind::Diffraction => effect.influence_um = quantile(&choice.pilot.diffraction()),
+            EffectKind::Diffraction => {
+                effect = plan.diffraction_effect();
+                effect.influence_um = quantile(&choice.pilot.diffraction());
+            }
             EffectKind::SpeckleOutOfFocus => return slip_named(methods).unwrap_or(effect),
             _ => {}
         }
@@ -170,7 +175,10 @@ impl List {
         let plan = &choice.plan.clone();
         let [speckle_ms, noise_ms] = choice.pilot.cost_of_randomness_ms(plan);
         if scene.speckle.is_some() {
-            let influence = choice.influence(|finest| finest.speckle = None)?;
+            let influence = choice.influence(|finest| {
+                finest.speckle = None;
+                finest.blur = finest.blur.without_field();
+            })?;
             let modelled = plan.speckle.is_some();
             let speckle = self.add(
                 EffectKind::Speckle,

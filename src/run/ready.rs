@@ -64,6 +64,12 @@ impl Simulation {
         Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
     }
 
+    /// The same while `control` watches: `building` hears of the hierarchy, which takes most of
+    /// the time. Errors: [`crate::Error::Interrupted`] too.
+    pub fn watched(scene: &Scene, control: &Control) -> Result<Simulation> {
+        simulation(scene, Coverage::Footprint, control)
+    }
+
     pub(crate) fn of_footprint(scene: &Scene, accel: Accel) -> Result<Simulation> {
         let simulation = Simulation::of_everything(scene, accel)?;
         Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))

@@ -8,6 +8,7 @@ use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use crate::camera::Camera;
 use crate::error::Result;
+use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
@@ -123,9 +124,13 @@ impl Shown<'_> {
                 match self.summary.blurred_share {
                     None => "no points".into(),
                     Some(share) => format!(
-                        "{} % have a blur wider than two standard deviations of their line; \
-                         it is not modelled",
-                        short(share * 100.0)
+                        "{} % have a blur wider than two standard deviations of their line{}",
+                        short(share * 100.0),
+                        match plan.blur {
+                            Blur::None => "; it is not modelled",
+                            Blur::Mean => "; speckle moves it less than it does",
+                            Blur::Coherent => "",
+                        }
                     ),
                 },
             ),

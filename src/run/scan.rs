@@ -5,6 +5,7 @@ use super::frames::{FrameContent, Run};
 use super::journal::{Journal, RunKey};
 use super::ready;
 use super::report::Shown;
+use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, Foreseen};
@@ -79,18 +80,9 @@ pub fn scan(
     control: &Control,
 ) -> Result<ScanSummary> {
     let start = Instant::now();
-    let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
-    super::check_frames(scene, &frames)?;
-    check_geometry(scene, options)?;
+    let key = key(scene, options)?;
+    let frames = key.frames.clone();
     need::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
-    let key = RunKey {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        accel: scene.accel.version(),
-        scene_sha256: scene.hash.clone(),
-        seed: scene.seed,
-        frames: frames.clone(),
-        geometry_only: options.geometry_only,
-    };
     refuse_worthless(scene, options, &frames, control)?;
     if !forecast::any_report_fits(scene, frames.len() as u64) {
         forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
@@ -105,6 +97,7 @@ pub fn scan(
         simulation: &simulation,
         out,
         control,
+        unfinished: files::PART,
         done: AtomicU64::new(kept.len() as u64),
     };
     run.repair(frames.start, &kept)?;
@@ -136,6 +129,95 @@ pub fn scan(
     };
     files::write_json(&out.join("manifest.json"), &manifest)?;
     warnings::refuse(&summary.warnings, options.strict)?;
+    Ok(summary)
+}
+
+/// What the bytes of a scan depend on. Errors: frames that the scene does not have; what geometry alone
+/// cannot give.
+fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
+    let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
+    super::check_frames(scene, &frames)?;
+    check_geometry(scene, options)?;
+    Ok(RunKey {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        accel: scene.accel.version(),
+        scene_sha256: scene.hash.clone(),
+        seed: scene.seed,
+        frames,
+        geometry_only: options.geometry_only,
+    })
+}
+
+/// What a shard of a scan has done.
+#[derive(Debug, Clone, Serialize)]
+pub struct ShardSummary {
+    /// Which of how many.
+    #[serde(flatten)]
+    pub shard: Shard,
+    /// Of the scan's scene, mesh, version and numerics: all its shards have the same.
+    pub job: String,
+    /// That it has.
+    pub frames: u32,
+    /// That were taken now; none, if an earlier run had finished the shard.
+    pub frames_taken: u32,
+}
+
+/// Takes the frames I, I + N, … of a scan for shard I of N, into a folder that all shards share; they
+/// may run at once and on several machines, and one may run twice. [`merge`] makes of them what [`scan`] gives.
+/// A shard that is stopped starts anew; memory does not grow with the number of frames.
+pub fn scan_shard(
+    scene: &Scene,
+    options: &ScanOptions,
+    shard: Shard,
+    out: &Path,
+    control: &Control,
+) -> Result<ShardSummary> {
+    let key = key(scene, options)?;
+    refuse_worthless(scene, options, &key.frames, control)?;
+    let simulation = simulation_of(scene, options, control)?;
+    files::create_folder(out)?;
+    files::remove(&out.join("manifest.json"))?;
+    files::create_own_folder(&out.join("profiles"))?;
+    if scene.write_frames {
+        files::create_own_folder(&out.join("frames"))?;
+    }
+    let unfinished = shards::unfinished();
+    let run = Run {
+        simulation: &simulation,
+        out,
+        control,
+        unfinished: &unfinished,
+        done: AtomicU64::new(0),
+    };
+    Ok(ShardSummary {
+        shard,
+        job: key.job(),
+        frames: shard.frames(&key.frames).count() as u32,
+        frames_taken: shards::take(&run, shard, &key)?,
+    })
+}
+
+/// Makes of the shards in a folder what the undivided scan gives, to the byte: checks every record, takes
+/// frames again whose files are damaged or lost, and writes cloud, report and summary.
+///
+/// # Errors
+/// As [`scan`]; and `Error::Input` that names the shards that are missing or damaged.
+pub fn merge(
+    scene: &Scene,
+    options: &ScanOptions,
+    out: &Path,
+    control: &Control,
+) -> Result<ScanSummary> {
+    shards::merge(out, &key(scene, options)?)?;
+    let options = ScanOptions {
+        resume: true,
+        ..options.clone()
+    };
+    let summary = scan(scene, &options, out, control)?;
+    // What killed runs left of frames' files.
+    for folder in ["profiles", "frames"] {
+        files::remove_all(&out.join(folder), |name| name.ends_with(files::PART))?;
+    }
     Ok(summary)
 }
 
@@ -182,8 +264,8 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
         files::remove(&out.join(name))?;
     }
     if anew {
-        files::remove_all(&profiles, "profile-")?;
-        files::remove_all(&frames, "frame-")?;
+        files::remove_all(&profiles, |name| name.starts_with("profile-"))?;
+        files::remove_all(&frames, |name| name.starts_with("frame-"))?;
     }
     if scene.write_frames {
         files::create_own_folder(&frames)?;

@@ -11,7 +11,7 @@ use crate::plan::rules::{CORRELATED, SpeckleStep};
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::frame_field::{FrameFields, field_spec};
+use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec, wide_field_spec};
 use crate::speckle::lookup::{Lookup, Method};
 use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::path::PathAnchor;
@@ -20,6 +20,8 @@ use crate::speckle::strips::Strip;
 
 pub struct ScanSpeckle {
     source: PatternSource,
+    /// `Some`: fields on the surface, of a pupil so many times as wide as the lens's.
+    wider: Option<f64>,
     map: GrainMap,
     anchor: Anchor,
 }
@@ -84,25 +86,36 @@ fn ring_spec(seed: u64, aperture: Aperture) -> PatternSpec {
 }
 
 impl ScanSpeckle {
-    /// `strips`: whether the surface of `accel` moves otherwise from place to place.
+    /// `strips`: whether the surface of `accel` moves otherwise from place to place. `wider`: for
+    /// fields on the surface, to go through the lens, of a pupil so many times as wide as the lens's.
     pub fn new(
         scene: &Scene,
         accel: &Accel,
         model: &SpeckleModel,
         strips: bool,
+        wider: Option<f64>,
     ) -> Result<ScanSpeckle> {
         let wavelength = scene.laser.beam.wavelength;
         let grain = scene.camera.speckle_angle(wavelength);
         let distance = scene.camera.lens.image_distance();
-        let anchor = match strips {
-            true => anchor(scene, true, lit_normal(scene, accel)),
-            false => anchor(scene, false, None),
-        };
+        let in_focus = wider.is_some();
+        let mut strips = strips;
+        let mut anchor_of = anchor(scene, Follows::of(strips, in_focus), || {
+            lit_normal(scene, accel)
+        });
+        let limited = || anchor_of.references(scene, 0.0, &scene.part_from_head(0), 1.0);
+        if in_focus && strips && limited().is_none() {
+            strips = false;
+            anchor_of = anchor(scene, Follows::Surface, || lit_normal(scene, accel));
+        }
         let (source, map) = match model.method {
             Method::Field => {
-                let spec = field_spec(scene.seed, model.aperture);
+                let spec = match wider {
+                    None => field_spec(scene.seed, model.aperture),
+                    Some(wider) => wide_field_spec(scene.seed, model.aperture, wider),
+                };
                 let fields = FrameFields::new(&spec, model.coherence)?;
-                let map = fields.map(grain, distance);
+                let map = fields.map(grain / wider.unwrap_or(1.0), distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
             Method::Trilinear => {
@@ -115,8 +128,9 @@ impl ScanSpeckle {
         };
         Ok(ScanSpeckle {
             source,
+            wider,
             map,
-            anchor,
+            anchor: anchor_of,
         })
     }
 
@@ -135,7 +149,8 @@ impl ScanSpeckle {
         let at = self.anchor.coordinate(place, part_from_head);
         let patterns = match &self.source {
             PatternSource::Frame { fields, strips } => {
-                let width = fields.strip_width();
+                let wider = self.wider.unwrap_or(1.0);
+                let width = fields.strip_width() * wider;
                 let references = || (self.anchor).references(scene, place, part_from_head, width);
                 match strips.then(references).flatten() {
                     Some(references) => Patterns::Strips {
@@ -144,7 +159,14 @@ impl ScanSpeckle {
                     },
                     None => Patterns::Frame {
                         fields,
-                        place: at.pupil,
+                        place: match self.wider {
+                            None => at.pupil,
+                            // The lens defocuses it.
+                            Some(wider) => PupilPlace {
+                                shift: on_sensor(at.pupil.shift) / wider,
+                                defocus: 0.0,
+                            },
+                        },
                     },
                 }
             }
@@ -157,6 +179,7 @@ impl ScanSpeckle {
             patterns,
             map: self.map,
             displacement: on_sensor(at.sensor),
+            wider: self.wider,
         }
     }
 
@@ -170,16 +193,20 @@ impl ScanSpeckle {
     ) -> Strips {
         let head_from_camera = scene.head_from_camera;
         let along = on_sensor(self.anchor.along());
+        // In diameters of the fields' own pupil.
+        let places = |shift: DVec2| on_sensor(shift) / self.wider.unwrap_or(1.0);
+        let defocuses = f64::from(self.wider.is_none());
         Strips {
-            pupil: on_sensor(at.pupil.shift),
+            pupil: places(at.pupil.shift),
             along,
             view: in_camera(&surface_view(scene, None), &head_from_camera.inverse()),
             strips: references.map(|reference| Reference {
                 strip: Strip {
                     number: reference.number,
-                    reference: on_sensor(reference.at.pupil.shift),
-                    defocus: reference.at.pupil.defocus - at.pupil.defocus,
-                    aside: along.perp() * reference.aside,
+                    reference: places(reference.at.pupil.shift),
+                    // A field on the surface is defocused by the lens.
+                    defocus: (reference.at.pupil.defocus - at.pupil.defocus) * defocuses,
+                    aside: along.perp() * (reference.aside / self.wider.unwrap_or(1.0)),
                 },
                 then_from_now: head_from_camera.inverse()
                     * reference.part_from_head.inverse()
@@ -197,14 +224,38 @@ fn on_sensor(displacement: DVec2) -> DVec2 {
     DVec2::new(displacement.x, -displacement.y)
 }
 
-/// What ties the patterns to the part along the scene's path; `strips` if they move
-/// otherwise from place to place. `normal` is that of the surface (head's frame), across
-/// the beam if it is not known.
-fn anchor(scene: &Scene, strips: bool, normal: Option<DVec3>) -> Anchor {
+/// What patterns move with.
+#[derive(Clone, Copy, PartialEq)]
+enum Follows {
+    /// Speckle in the middle of the view.
+    Middle,
+    /// Speckle of each place of the surface.
+    Places,
+    /// The surface in the middle of the view, wherever the focus.
+    Surface,
+}
+
+impl Follows {
+    fn of(strips: bool, on_surface: bool) -> Follows {
+        match (strips, on_surface) {
+            (true, _) => Follows::Places,
+            (false, false) => Follows::Middle,
+            (false, true) => Follows::Surface,
+        }
+    }
+}
+
+/// What ties the patterns to the part along the scene's path. `normal` is that of the surface
+/// (head's frame), across the beam if it is not known; it is asked for where it is used.
+fn anchor(scene: &Scene, follows: Follows, normal: impl FnOnce() -> Option<DVec3>) -> Anchor {
     let mut view = surface_view(scene, None);
-    view.normal = normal.unwrap_or(view.normal);
-    if strips {
-        view.magnification = scene.camera.lens.magnification();
+    if follows != Follows::Middle {
+        view.normal = normal().unwrap_or(view.normal);
+    }
+    match follows {
+        Follows::Middle => {}
+        Follows::Places => view.magnification = scene.camera.lens.magnification(),
+        Follows::Surface => view = view.in_focus(),
     }
     let scan = &scene.scan;
     let wavelength = scene.laser.beam.wavelength;
@@ -241,7 +292,7 @@ fn anchor(scene: &Scene, strips: bool, normal: Option<DVec3>) -> Anchor {
 /// their patterns are correlated; `field`: whether the method reads fields, which alone have
 /// strips. Frames apart grow by an eighth, between which a correlation changes little.
 pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
-    let anchor = anchor(scene, true, None);
+    let anchor = anchor(scene, Follows::Places, || None);
     let limited = anchor.references(scene, 0.0, &scene.part_from_head(0), 1.0);
     if !field || limited.is_none() {
         return Vec::new();

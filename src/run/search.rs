@@ -119,6 +119,7 @@ fn among(
     if base.speckle.is_some() {
         let smooth = Plan {
             speckle: None,
+            blur: finest.blur.without_field(),
             ..finest.clone()
         };
         let errors = looked.errors(&smooth)?;
@@ -231,7 +232,7 @@ fn cheapest(
 }
 
 /// The finest plan with one of its methods coarser, from the coarsest on, method by method.
-fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 5] {
+fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 6] {
     let with = |change: &dyn Fn(&mut Plan, &Plan)| {
         let mut plans: Vec<Plan> = Vec::new();
         for plan in images {
@@ -252,8 +253,14 @@ fn axes(finest: &Plan, images: &[Plan]) -> [Vec<Plan>; 5] {
     };
     [
         with(&|changed, plan| changed.sampling = plan.sampling),
-        with(&|changed, plan| changed.speckle = plan.speckle),
+        with(&|changed, plan| {
+            changed.speckle = plan.speckle;
+            if plan.speckle.is_none() {
+                changed.blur = changed.blur.without_field();
+            }
+        }),
         with(&|changed, plan| changed.noise = plan.noise),
+        with(&|changed, plan| changed.blur = plan.blur),
         with(&|changed, plan| changed.samples_per_side = plan.samples_per_side),
         with(&|changed, plan| changed.cutoff_radii = plan.cutoff_radii),
     ]

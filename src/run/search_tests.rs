@@ -1,8 +1,8 @@
 //! The search against a look at every plan.
 
 use super::*;
+use crate::camera::GrainExtent;
 use crate::math::rng::{Key, Purpose};
-use crate::plan::GrainExtent;
 use crate::speckle::lookup::Method;
 
 /// A plan with speckle and noise; what no search asks for is left at nothing.
@@ -13,6 +13,7 @@ fn base() -> Plan {
         noise: true,
         samples_per_side: 3,
         sampling: Sampling::Planes,
+        blur: crate::frame::Blur::None,
         cutoff_radii: 3.06,
         line_half_width_px: 3.0,
         grain: GrainExtent::NONE,

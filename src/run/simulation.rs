@@ -1,7 +1,7 @@
 //! A scene made ready to take frames: hierarchy built, plan made, speckle
 //! patterns computed. Each frame depends on its number alone.
 
-use super::error_model::error_model;
+use super::error_model::{camera_from_laser, error_model, perfect_calibration};
 use super::need;
 use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
@@ -67,7 +67,8 @@ impl Simulation {
         let speckle = match (&scene.speckle, plan.speckle) {
             (Some(model), Some(method)) => {
                 let model = SpeckleModel { method, ..*model };
-                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips)?;
+                let wider = plan.wider();
+                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips, wider)?;
                 Some(Arc::new(patterns))
             }
             _ => None,
@@ -78,7 +79,7 @@ impl Simulation {
     /// The same done by another plan; patterns of speckle are shared where both have the
     /// same.
     pub(crate) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
-        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips);
+        let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips, plan.wider());
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
             Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared)
@@ -110,7 +111,7 @@ impl Simulation {
             speckle,
             clusters: None,
             readout: Readout::new(sensor, scene.laser.beam.wavelength),
-            errors: error_model(scene),
+            errors: error_model(scene, plan.blur),
             sheet: scene
                 .laser
                 .fan
@@ -147,18 +148,18 @@ impl Simulation {
     /// The view at a place on the path, a frame number or between two, where the head is there.
     fn view_at(&self, place: f64, part_from_head: Rigid) -> View<'_> {
         let scene = &self.scene;
+        let per_side = self.plan.samples_per_side;
         View {
             accel: &self.accel,
-            surface: scene.surface,
+            surface: scene.surface.clone(),
             laser: &scene.laser,
             part_from_laser: part_from_head * scene.head_from_laser,
             camera: &scene.camera,
             part_from_camera: part_from_head * scene.head_from_camera,
             speckle: (self.speckle.as_ref())
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
-            grid: Grid::Gauss {
-                per_side: self.plan.samples_per_side,
-            },
+            grid: Grid::Gauss { per_side },
+            lens: self.plan.lens_blur(),
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,
         }
@@ -246,21 +247,6 @@ impl Simulation {
     }
 }
 
-/// The true values of a scene's sensor.
-pub(crate) fn perfect_calibration(scene: &Scene) -> Calibration {
-    let camera_from_laser = camera_from_laser(scene);
-    Calibration::perfect(
-        scene.camera.model(),
-        scene.head_from_camera,
-        camera_from_laser.translation,
-        camera_from_laser.rotation.y_axis,
-    )
-}
-
-fn camera_from_laser(scene: &Scene) -> Rigid {
-    scene.head_from_camera.inverse() * scene.head_from_laser
-}
-
 /// What of the part the laser lights and the camera sees along the path, in which of its
 /// frames; empty if never.
 pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
@@ -275,6 +261,7 @@ fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
         laser: &scene.laser,
         camera: &scene.camera,
         camera_from_laser,
+        glossy: scene.surface.glossy().is_some(),
     }
 }
 

@@ -23,7 +23,7 @@ pub struct ScanSummary {
     pub measured_share: f64,
     /// Number of measured points, flagged ones too.
     pub points: usize,
-    /// Share of the points at which the lens's blur, which images do not have, is wider than
+    /// Share of the points at which the lens's blur is wider than
     /// two standard deviations of their line; `null` if there is none.
     pub blurred_share: Option<f64>,
     /// Of valid points ([`CloudPoint::is_valid`](crate::inspect::cloud::CloudPoint::is_valid)); `null` if there is none.

@@ -340,8 +340,9 @@ impl Follow<'_> {
         let sigma = (beside - pixel).length() / 2.0;
         let share = sigma * TAU.sqrt() * libm::erf(0.5 * FRAC_1_SQRT_2 / sigma);
         let towards_light = -light.flux.normalize_or_zero();
-        let towards_eye = self.laser_from_part.vector(self.eye - hit.point);
-        let bsdf = surface.bsdf(normal, towards_light, towards_eye.normalize_or_zero());
+        let towards_light = self.laser_from_part.inverse().vector(towards_light);
+        let towards_eye = (self.eye - hit.point).normalize_or_zero();
+        let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, towards_eye);
         let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
         let electrons = irradiance
             * camera

@@ -3,7 +3,7 @@
 
 use super::unit::Unit;
 use crate::accel::Backend;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
@@ -69,12 +69,14 @@ pub struct PartTable {
     /// part's frame: a CSV file of one line a copy, written as that of scan.poses; path
     /// relative to the scene file. Default: one copy, unmoved.
     pub copies: Option<String>,
-    /// Share of light reflected, diffusely (Lambert), 0 to 1.
-    pub reflectance: f64,
+    /// Share of light reflected, diffusely (Lambert), 0 to 1. Without `surface` it must be given.
+    pub reflectance: Option<f64>,
+    /// Metal, paint or a mix, in place of `reflectance`.
+    pub surface: Option<SurfaceTable>,
     /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal);
-    /// lowers speckle contrast by √((1 + 𝒫²)/2). Default: 1.
-    #[serde(default = "one")]
-    pub polarisation_degree: f64,
+    /// lowers speckle contrast by √((1 + 𝒫²)/2). Default: 1; with `surface` the share of light that
+    /// is reflected without entering the part, where laser and camera look at a surface across the beam.
+    pub polarisation_degree: Option<f64>,
     /// Where the part's origin lies in the world. Default: the world's origin.
     #[serde(default, deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -83,14 +85,91 @@ pub struct PartTable {
     pub rotation_deg: [f64; 3],
 }
 
-/// A mesh file: STL, OBJ or PLY.
+/// What the surface is: `metal`, `coat` or `matt`, or more than one of them, each on its `share` of it.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceTable {
+    pub metal: Option<MetalTable>,
+    pub coat: Option<CoatTable>,
+    pub matt: Option<MattTable>,
+    pub lay: Option<LayTable>,
+}
+
+/// Rough bare metal: GGX microfacets (Walter et al. 2007). Its refractive index is that of `name`, or `n` and `k`.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MetalTable {
+    /// aluminium, copper, iron or titanium, at the laser's wavelength.
+    pub name: Option<String>,
+    /// Real part of the refractive index.
+    pub n: Option<f64>,
+    /// Imaginary part of the refractive index.
+    pub k: Option<f64>,
+    /// α, 0.01 (nearly a mirror) to 1: half of the facets are less steep than this slope.
+    pub roughness: f64,
+    /// α across the lay, where `roughness` is that along it. Default: the same.
+    pub roughness_across: Option<f64>,
+    /// Share of the surface. Default: 1.
+    #[serde(default = "one")]
+    pub share: f64,
+}
+
+/// A clear coat over a diffuse base: paint, varnish, coloured anodising.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CoatTable {
+    /// Refractive index of the coat, 1.05 to 3.
+    pub index: f64,
+    /// α of the coat, as of metal.
+    pub roughness: f64,
+    /// α across the lay. Default: the same.
+    pub roughness_across: Option<f64>,
+    /// Share of light that the base reflects, as it would be without the coat, 0 to 1.
+    pub reflectance: f64,
+    /// Share of the surface. Default: 1.
+    #[serde(default = "one")]
+    pub share: f64,
+}
+
+/// Light scattered evenly (Lambert).
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MattTable {
+    /// Share of light reflected, 0 to 1.
+    pub reflectance: f64,
+    /// Share of the surface. Default: 1.
+    #[serde(default = "one")]
+    pub share: f64,
+}
+
+/// Where the tool's grooves run, in the part's frame: along `direction` (milled, ground), or in circles about an
+/// axis (turned).
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LayTable {
+    /// Of milling, any length.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub direction: Option<[f64; 3]>,
+    /// A point on the axis of turning. Default: the part's origin.
+    #[serde(default, deserialize_with = "array")]
+    pub axis_point_mm: [f64; 3],
+    /// Direction of the axis of turning, any length.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub axis_direction: Option<[f64; 3]>,
+}
+
+/// A mesh file: STL, OBJ, PLY, glTF or 3MF.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshTable {
     /// Path, relative to the scene file.
     pub file: String,
-    /// Unit of the file's coordinates, which the file itself does not say.
-    pub unit: Unit,
+    /// Unit of the file's coordinates. STL, OBJ and PLY do not say it; 3MF does, and glTF is in
+    /// metres if nothing else is said here.
+    pub unit: Option<Unit>,
+    /// Largest distance between the part's true surface and the file's triangles, which its converter was
+    /// told. It is in the uncertainty of deviations. Default: none.
+    pub chord_um: Option<f64>,
 }
 
 /// A rectangle in the part's xy plane, facing +z, centred on its origin.
@@ -396,6 +475,10 @@ pub struct PlanTable {
     pub sampling: Option<Sampling>,
     /// Beam radii at which light is taken to end, 1 to 4.
     pub cutoff_radii: Option<f64>,
+    /// What is done of the lens's blur: `none`, `mean` (light is spread, speckle is multiplied into
+    /// it) or `coherent` (the field is spread: speckle as the blur makes it; takes speckle by
+    /// field).
+    pub blur: Option<Blur>,
     /// What finds the triangles rays meet.
     pub accel: Option<Backend>,
 }

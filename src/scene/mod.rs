@@ -10,6 +10,7 @@ mod plan_table;
 mod poses;
 mod resolve;
 mod resolver;
+mod surface;
 mod unit;
 
 pub use file::{Moves, PlanTable, SceneFile, schema};

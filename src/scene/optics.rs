@@ -84,13 +84,15 @@ impl Resolver<'_> {
         })
     }
 
-    /// Checked whether speckle is on or off: a mistake is one either way.
+    /// Checked whether speckle is on or off: a mistake is one either way. `polarised`: the degree of
+    /// polarisation if the scene names none.
     pub(super) fn speckle(
         &self,
         file: &SceneFile,
         camera: &Camera,
+        polarised: f64,
     ) -> Result<Option<SpeckleModel>> {
-        let polarisation_degree = file.part.polarisation_degree;
+        let polarisation_degree = file.part.polarisation_degree.unwrap_or(polarised);
         self.check(
             (0.0..=1.0).contains(&polarisation_degree),
             "part.polarisation_degree",

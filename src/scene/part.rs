@@ -7,7 +7,10 @@ impl PartTable {
     /// The mesh file and its unit, or the shape and its size.
     pub(super) fn in_words(&self) -> String {
         if let Some(mesh) = &self.mesh {
-            return format!("{} in {}", mesh.file, name(mesh.unit));
+            let unit = mesh
+                .unit
+                .map_or(String::new(), |unit| format!(" in {}", name(unit)));
+            return mesh.file.clone() + &unit;
         }
         if let Some(plane) = &self.plane {
             let [x, y] = plane.size_mm;

@@ -4,6 +4,7 @@
 use super::file::{AccuracyTable, PlanTable};
 use super::resolver::Resolver;
 use crate::error::Result;
+use crate::frame::Blur;
 use crate::laser::CUTOFF_RADII;
 use crate::plan::rules::MAX_SAMPLES_PER_SIDE;
 
@@ -38,6 +39,11 @@ impl Resolver<'_> {
             by_field || table.speckle_slips != Some(true),
             "plan.speckle_slips",
             "false: it takes speckle by field",
+        )?;
+        self.check(
+            by_field || table.blur != Some(Blur::Coherent),
+            "plan.blur",
+            "\"none\" or \"mean\": \"coherent\" takes speckle by field",
         )?;
         if table.geometry_only == Some(true) {
             self.check(

@@ -4,6 +4,7 @@ use super::file::{PartTable, PlanTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
 use super::resolver::Resolver;
+use super::surface::polarised;
 use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
@@ -14,7 +15,7 @@ use crate::mesh::shapes::{self, WrongSize};
 use crate::mesh::{self, Mesh, Watch};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::surface::Lambert;
+use crate::surface::Surface;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -71,16 +72,19 @@ pub struct Scene {
     /// The part, mm, in its own frame; or what the copies repeat.
     #[serde(skip)]
     pub mesh: Arc<Mesh>,
-    /// Unit of the mesh's file; `None`: the mesh is a shape of the scene's.
+    /// Unit of the mesh's file; `None`: the file states it, or the mesh is a shape of the scene's.
     #[doc(hidden)]
     pub mesh_unit: Option<Unit>,
+    /// Largest distance (mm) of the true surface from the mesh file's triangles; 0: not stated.
+    #[doc(hidden)]
+    pub chord: f64,
     /// Where copies of the mesh are in the part: part_from_copy; at least one. Written
     /// as their number.
     #[serde(serialize_with = "number")]
     pub copies: Arc<[Rigid]>,
     /// How the part scatters light.
     #[doc(hidden)]
-    pub surface: Lambert,
+    pub surface: Surface,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
     /// In its own frame.
@@ -186,7 +190,11 @@ fn number<S: serde::Serializer>(
 
 impl Resolver<'_> {
     fn scene(self, file: SceneFile) -> Result<Scene> {
-        let (mesh, mesh_hash) = self.mesh(&file.part)?;
+        let (mesh, mesh_hash, mesh_unit) = self.mesh(&file.part)?;
+        let chord = match file.part.mesh.as_ref().and_then(|table| table.chord_um) {
+            Some(chord_um) => self.positive(chord_um, "part.mesh.chord_um")? * 1e-3,
+            None => 0.0,
+        };
         let part = file.part.in_words();
         let (copies, copies_hash) = match &file.part.copies {
             None => (vec![Rigid::IDENTITY], Vec::new()),
@@ -195,12 +203,7 @@ impl Resolver<'_> {
                 (poses, hash)
             }
         };
-        let reflectance = file.part.reflectance;
-        self.check(
-            (0.0..=1.0).contains(&reflectance),
-            "part.reflectance",
-            "a number from 0 to 1",
-        )?;
+        let surface = self.surface(&file.part, file.laser.wavelength_nm)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
         let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
@@ -208,7 +211,10 @@ impl Resolver<'_> {
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
-        let speckle = self.speckle(&file, &camera)?;
+        let polarised = surface.glossy().map_or(1.0, |glossy| {
+            polarised(glossy, &head_from_laser, &head_from_camera)
+        });
+        let speckle = self.speckle(&file, &camera, polarised)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         let methods = self.methods(
@@ -233,9 +239,10 @@ impl Resolver<'_> {
             methods,
             part,
             mesh: Arc::new(mesh),
-            mesh_unit: file.part.mesh.as_ref().map(|table| table.unit),
+            mesh_unit,
+            chord,
             copies: copies.into(),
-            surface: Lambert { reflectance },
+            surface,
             part_at_rest,
             laser,
             head_from_laser,
@@ -285,8 +292,9 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
-    /// The part's mesh, and the bytes that stand for a mesh file in the hash.
-    fn mesh(&self, part: &PartTable) -> Result<(Mesh, Vec<u8>)> {
+    /// The part's mesh, the bytes that stand for a mesh file in the hash, and its unit if the file does
+    /// not state one itself.
+    fn mesh(&self, part: &PartTable) -> Result<(Mesh, Vec<u8>, Option<Unit>)> {
         let kinds = [
             part.mesh.is_some(),
             part.plane.is_some(),
@@ -300,7 +308,7 @@ impl Resolver<'_> {
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
         let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
-            Ok(mesh) => Ok((mesh, Vec::new())),
+            Ok(mesh) => Ok((mesh, Vec::new(), None)),
             Err(wrong) => {
                 let key = format!("{table}.{}", wrong.argument);
                 Err(self.source.wrong(&key, &wrong.expected))
@@ -309,17 +317,33 @@ impl Resolver<'_> {
         if let Some(table) = &part.mesh {
             let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
             let bytes = mesh::read(&file, self.watch)?;
+            let unit_by = mesh::unit_by(&file, &bytes)?;
+            let unit = match unit_by {
+                _ if table.unit.is_some() => table.unit,
+                mesh::UnitBy::User => return Err(self.source.missing("part.mesh.unit")),
+                mesh::UnitBy::Metres => Some(Unit::Metre),
+                mesh::UnitBy::File => None,
+            };
             let (mesh, hash) = rayon::join(
-                || mesh::parse(&file, &bytes, table.unit.mm()),
+                || mesh::parse(&file, &bytes, unit.map(Unit::mm)),
                 || Sha256::digest(&bytes).to_vec(),
             );
-            let mesh = mesh?;
+            let (mesh, mut hash) = (mesh?, hash);
+            if unit_by == mesh::UnitBy::Metres {
+                // Its numbers may stand in other files.
+                let numbers = mesh
+                    .positions
+                    .iter()
+                    .flat_map(|p| p.to_array().map(f64::to_le_bytes));
+                let numbers: Vec<u8> = numbers.flatten().collect();
+                hash.extend(Sha256::digest(numbers));
+            }
             if !mesh::has_area(&mesh) {
                 let found = format!("{} triangles, all without area", mesh.triangles.len());
                 let expected = "a mesh with a surface";
                 return Err(InputError::new(&file, Place::File, found, expected).into());
             }
-            return Ok((mesh, hash));
+            return Ok((mesh, hash, unit));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

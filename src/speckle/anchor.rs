@@ -55,8 +55,9 @@ pub struct ScanCoordinate {
 /// the references of [`strips`](super::strips): no grain is displaced by more than
 /// a blur circle, d·m·D·|A_p − b|/|A_p|, which shears it by that over the depth's
 /// own scale: D/L_o times the slope of the surface. There are none where the surface
-/// moves but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4: then strips
-/// never change and nothing limits the shear.
+/// moves but its speckle hardly crosses the pupil, |A_p| < |A_p − b|/4, or crosses it
+/// only on a way of more than half the distance to the pupil: then strips never change
+/// and nothing limits the shear.
 ///
 /// In focus, points that are imaged with another magnification m′ than the view's
 /// keep the grain size, but their grains slip against the surface by (m − m′)/m of
@@ -92,6 +93,10 @@ pub struct Reference {
 /// |A_p − b|/|A_p| up to which strips of the pupil field limit the shear.
 const MOST_SLIP: f64 = 4.0;
 
+/// Turn (rad), or way in distances from the surface to the pupil, after which a view
+/// shows the surface otherwise: cosines have changed by a tenth to a half.
+pub(super) const FARTHEST: f64 = 0.5;
+
 impl PoseAnchor {
     /// `view` in head coordinates; `start` part_from_head at the start of the scan;
     /// `scan_step` the way of the head from frame to frame, in head coordinates. If
@@ -111,7 +116,9 @@ impl PoseAnchor {
         );
         let slip = step.sensor - view.magnification * step.pupil;
         let most = MOST_SLIP * view.magnification.abs() * step.pupil.length();
-        let limited = step.delta > 0.0 && slip.length() <= most;
+        let way = scan_step.length() / view.pupil_centre.distance(view.point);
+        let within_reach = step.delta > 0.0 && way <= FARTHEST * step.delta;
+        let limited = within_reach && slip.length() <= most;
         let mut anchor = PoseAnchor {
             view,
             wavelength_mm,
@@ -316,6 +323,24 @@ mod tests {
         };
         let anchor = PoseAnchor::new(converging, &pose(TURN, FAR), DVec3::Y, 660e-6);
         assert_eq!(anchor.references(&pose(TURN, FAR), 1.0), None);
+    }
+
+    /// Parallel light, and ways along the viewing ray: A_p and slip are both zero but for rounding.
+    #[test]
+    fn a_way_along_the_viewing_ray_has_no_references() {
+        for i in 0..20 {
+            let direction = DVec3::new(0.3 - 0.03 * i as f64, 0.1, -1.0).normalize();
+            let parallel = SurfaceView {
+                source: Source::Wavefront {
+                    direction,
+                    curvature_per_mm: DMat3::ZERO,
+                },
+                ..view()
+            };
+            let way = (view().pupil_centre - view().point).normalize() * (0.1 + i as f64);
+            let anchor = PoseAnchor::new(parallel, &pose(TURN, FAR), way, 660e-6);
+            assert_eq!(anchor.references(&pose(TURN, FAR), 1.0), None, "{i}");
+        }
     }
 
     #[test]

@@ -40,10 +40,27 @@ pub struct PupilPlace {
 pub fn field_spec(seed: u64, aperture: Aperture) -> PatternSpec {
     PatternSpec {
         size: 384,
-        texels_per_speckle: 8.0 / 3.0,
+        texels_per_speckle: 384.0 / GRAINS,
         aperture,
         seed,
         ..PatternSpec::default()
+    }
+}
+
+/// Grains along each side of a frame's field: phasors across its pupil.
+const GRAINS: f64 = 144.0;
+
+/// Widest that a pupil's surroundings may be, in its diameters: see [`wide_field_spec`].
+pub const WIDEST: f64 = 2.5;
+
+/// The same of a pupil `wider` times as wide (1 to [`WIDEST`]), 4.8 MB: the field on the surface that
+/// a lens sees under light that changes within a grain. Its phasors are those of the pupil and
+/// more around it.
+pub fn wide_field_spec(seed: u64, aperture: Aperture, wider: f64) -> PatternSpec {
+    PatternSpec {
+        size: 768,
+        texels_per_speckle: 768.0 / (GRAINS * wider),
+        ..field_spec(seed, aperture)
     }
 }
 
@@ -214,7 +231,23 @@ impl FrameField {
         sum
     }
 
-    /// The same at the first `count` of four places, `s` and `t` texels (at most
+    /// Weights of the independent patterns, whose sum is 1.
+    pub fn weights(&self) -> impl Iterator<Item = f32> + '_ {
+        let further = self.further_layers.iter().map(|&(weight, _)| weight);
+        std::iter::once(self.first_weight).chain(further)
+    }
+
+    /// Amplitude of one of these patterns at (s, t) in texels, of mean square 1.
+    pub fn amplitude_of(&self, pattern: usize, at: DVec2) -> Complex32 {
+        let offset = pattern
+            .checked_sub(1)
+            .map_or(DVec2::ZERO, |i| self.further_layers[i].1);
+        let (amplitude, gain) = self.amplitude(at + offset);
+        let Vec2 { x: re, y: im } = amplitude * gain.sqrt();
+        Complex32::new(re, im)
+    }
+
+    /// Speckle intensity at the first `count` of four places, `s` and `t` texels (at most
     /// [`FrameField::REACH`]) from `at`; differs by rounding. Zero at the others.
     #[inline(always)]
     pub fn around(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {

@@ -73,7 +73,7 @@ pub struct SurfaceView {
 
 impl SurfaceView {
     /// The view with its point in focus.
-    pub(super) fn in_focus(&self) -> SurfaceView {
+    pub(crate) fn in_focus(&self) -> SurfaceView {
         SurfaceView {
             focus_distance: self.pupil_centre.distance(self.point),
             ..*self

@@ -1,6 +1,6 @@
 //! The pattern coordinate along a path on which the head turns against the part.
 
-use super::anchor::{PoseAnchor, Reference, ScanCoordinate, rotation_vector};
+use super::anchor::{FARTHEST, PoseAnchor, Reference, ScanCoordinate, rotation_vector};
 use super::frame_field::PupilPlace;
 use super::motion::SurfaceView;
 use super::strips::Strip;
@@ -39,10 +39,6 @@ pub struct PathAnchor {
     /// sees none of both.
     apart: f64,
 }
-
-/// Turn (rad), or way in distances from the surface to the pupil, after which a view
-/// shows the surface otherwise: cosines have changed by a tenth to a half.
-const FARTHEST: f64 = 0.5;
 
 impl PathAnchor {
     /// `view` in head coordinates, then the poses of the frames, at least one.

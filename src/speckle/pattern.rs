@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 impl Aperture {
     /// Whether `p`, in pupil widths and heights from the centre, is open.
-    fn contains(&self, p: DVec2) -> bool {
+    pub(crate) fn contains(&self, p: DVec2) -> bool {
         match self {
             Aperture::Circle | Aperture::Ellipse(_) => p.length_squared() <= 0.25,
             // Half open: a square d texels wide holds d columns wherever its

@@ -22,6 +22,7 @@
 
 use super::frame_field::{FrameField, FrameFields};
 use crate::math::DVec2;
+use rustfft::num_complex::Complex32;
 use std::f64::consts::TAU;
 
 /// A strip of the pupil's plane. Places on the plane are in pupil diameters, along the
@@ -98,6 +99,20 @@ impl FrameFields {
 }
 
 impl StripField {
+    /// Weights of the independent patterns, whose sum is 1.
+    pub fn weights(&self) -> impl Iterator<Item = f32> + '_ {
+        self.strips[0].weights()
+    }
+
+    /// Amplitude of one of these patterns, of mean square 1, where the strips are read at these places
+    /// (texels).
+    pub fn amplitude_of(&self, pattern: usize, at: [DVec2; 2]) -> Complex32 {
+        let turn = self.turns[1].dot(at[1]) - self.turns[0].dot(at[0]);
+        let turn = Complex32::from_polar(1.0, turn as f32);
+        let [a, b] = [0, 1].map(|i| self.strips[i].amplitude_of(pattern, at[i]));
+        a + b * turn
+    }
+
     /// Speckle intensity, mean 1, where the strips are read at these places (texels).
     #[inline(always)]
     pub fn intensity(&self, at: [DVec2; 2]) -> f32 {

@@ -9,6 +9,10 @@ use glam::DMat2;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::PI;
 
+/// Of Airy's pattern across a line, as of the Gaussian nearest to its core, grains (Zhang, Zerubia &
+/// Olivo-Marin 2007: 0.21·λ/NA).
+pub const AIRY_SIGMA: f64 = 0.42;
+
 impl Aperture {
     /// Correlation μ of the speckle *fields* at two points of the sensor,
     /// `lag` apart, in units of the minimal speckle size h = λ·d_PI/D (D the

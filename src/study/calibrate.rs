@@ -12,8 +12,8 @@ use crate::profile::{
     find_peaks,
 };
 use crate::report::residual_picture::residual_picture;
+use crate::run::error_model::perfect_calibration;
 use crate::run::simulation::Simulation;
-use crate::run::simulation::perfect_calibration;
 use crate::run::{Control, files};
 use crate::scene::{ScanPath, Scene};
 use rand_distr::{Distribution, StandardNormal};

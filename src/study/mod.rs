@@ -6,6 +6,7 @@ mod bench_bvh;
 mod calibrate;
 mod chart;
 mod kept;
+pub mod lens;
 mod peak_image;
 mod peaks;
 mod speckle;

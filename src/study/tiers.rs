@@ -3,7 +3,7 @@
 
 use crate::accel::{Accel, Backend, Clusters};
 use crate::error::Result;
-use crate::frame::Sampling;
+use crate::frame::{Blur, Sampling};
 use crate::plan::Plan;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::words::words;
@@ -96,10 +96,12 @@ impl<'s> Tiers<'s> {
 
     fn add(&mut self, name: &str, plan: Plan, coverage: Coverage) -> Result<&mut Tier> {
         let full = self.list.first().map(|tier| &tier.simulation.plan);
-        let other_grains = plan.speckle.is_some()
-            && full.is_some_and(|full| {
-                (full.speckle, full.speckle_slips) != (plan.speckle, plan.speckle_slips)
-            });
+        let grains = |plan: &Plan| {
+            let of_field = plan.blur == Blur::Coherent;
+            (plan.speckle, plan.speckle_slips, of_field)
+        };
+        let other_grains =
+            plan.speckle.is_some() && full.is_some_and(|full| grains(full) != grains(&plan));
         let simulation = Simulation::with_plan(self.scene, self.accel.clone(), plan)?;
         let simulation = match coverage {
             Coverage::Footprint => simulation.with_clusters(self.clusters.clone()),
@@ -135,6 +137,7 @@ impl<'s> Tiers<'s> {
         let name = format!("pixels at the line only, {n} × {n} rays in each");
         tiers.add(&name, rays, Coverage::Footprint)?;
         tiers.images(&base, plan)?;
+        tiers.blurs(&base)?;
         tiers.randomness(&base)?;
         tiers.finders(&base)?;
         tiers.backend(&base)?;
@@ -188,12 +191,30 @@ impl<'s> Tiers<'s> {
         self.add(&name, plan, Coverage::Footprint).map(drop)
     }
 
+    /// The lens's blur.
+    fn blurs(&mut self, base: &Plan) -> Result<()> {
+        for blur in [Blur::None, Blur::Mean, Blur::Coherent] {
+            if blur != Blur::Coherent || base.speckle == Some(Method::Field) {
+                let plan = Plan {
+                    blur,
+                    ..base.clone()
+                };
+                self.unless_chosen(plan, base)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Speckle and noise: without, and otherwise.
     fn randomness(&mut self, base: &Plan) -> Result<()> {
         let mut plans = Vec::new();
         let with = |speckle, noise| Plan {
             speckle,
             noise,
+            blur: match speckle {
+                Some(Method::Field) => base.blur,
+                _ => base.blur.without_field(),
+            },
             ..base.clone()
         };
         if base.speckle.is_some() {

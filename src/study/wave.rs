@@ -349,6 +349,7 @@ impl LineImage {
             right,
             up,
             diameter: view.pupil_diameter,
+            aperture: scene.camera.lens.aperture,
         };
         let field = pupil_field_watched(&scatterers, &pupil, wavelength, &grid, sampled)?;
         Ok(intensity_at_focus(&field, &grid))

@@ -6,8 +6,9 @@ use super::image::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field}
 use super::patch::{lit, patch_filling_view};
 use crate::error::Result;
 use crate::math::rng::{Key, Purpose};
-use crate::math::{DVec2, DVec3};
+use crate::math::{Aperture, DVec2, DVec3};
 use crate::speckle::motion::Source;
+use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 
 const PIXELS_PER_GRAIN: f64 = 8.0;
@@ -15,9 +16,6 @@ const PIXELS_PER_GRAIN: f64 = 8.0;
 /// side.
 const ROWS_GRAINS: f64 = 24.0;
 const SCATTERERS_PER_GRAIN: f64 = 8.0;
-/// Standard deviation of the Gaussian nearest to the Airy disc, in grains λL/D
-/// (Zhang, Zerubia & Olivo-Marin 2007 have 0.21·λ/NA, NA = D/2L).
-const AIRY_SIGMA: f64 = 0.42;
 
 /// A line laser and a camera straight above a plane, in focus.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -161,6 +159,7 @@ fn line_peaks(setup: &LineSetup, width: f64, key: Key) -> Result<Vec<RowPeak>> {
         right: DVec3::X,
         up: DVec3::Y,
         diameter: setup.pupil_diameter,
+        aperture: Aperture::Circle,
     };
     let field = pupil_field(&scatterers, &pupil, setup.wavelength_mm, &grid)?;
     let image = intensity_at_focus(&field, &grid);

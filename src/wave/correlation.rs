@@ -254,7 +254,7 @@ fn peak_offset(values: &[f64; LAGS]) -> Option<DVec2> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::DVec3;
+    use crate::math::{Aperture, DVec3};
     use crate::wave::image::{ImageGrid, Pupil, PupilField, intensity_at_focus};
 
     /// A pupil field of independent circular Gaussian samples.
@@ -274,6 +274,7 @@ mod tests {
             right: DVec3::X,
             up: DVec3::Y,
             diameter: 10.0,
+            aperture: Aperture::Circle,
         };
         PupilField {
             pupil,

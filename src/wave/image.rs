@@ -20,7 +20,7 @@
 //! for the field, an FFT for each image of it.
 
 use crate::error::{Error, Result};
-use crate::math::DVec3;
+use crate::math::{Aperture, DVec2, DVec3};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex64;
 use rustfft::{FftDirection, FftPlanner};
@@ -38,7 +38,7 @@ pub struct Scatterer {
     pub light_path: f64,
 }
 
-/// A circular pupil.
+/// A pupil.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pupil {
     /// mm.
@@ -47,8 +47,10 @@ pub struct Pupil {
     pub right: DVec3,
     /// Unit vector, across `right`.
     pub up: DVec3,
-    /// mm.
+    /// Its width, along `right`, mm.
     pub diameter: f64,
+    /// Its shape; heights are along `up`.
+    pub aperture: Aperture,
 }
 
 impl Pupil {
@@ -59,7 +61,7 @@ impl Pupil {
 }
 
 /// Square image in the plane in focus, in object millimetres. The centre of pixel
-/// (`pixels`/2, `pixels`/2) is the point in focus; the first index runs along
+/// (`pixels`/2, `pixels`/2), rounded down, is the point in focus; the first index runs along
 /// `right`. The image is periodic: light that falls outside comes back in on the
 /// other side, so the window must be as wide as the patch and its blur.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -169,7 +171,11 @@ pub fn pupil_field_watched(
     let offset = |i: usize| (i as f64 - reach as f64) * pitch;
     // Weighting the rim by the share of each cell inside was tried: such a soft
     // rim overlaps itself too well, and γ came out 4 % high at 33 samples across.
-    let inside = |index: usize| offset(index % side).hypot(offset(index / side)) <= radius;
+    let scale = DVec2::new(1.0, 1.0 / pupil.aperture.ratio()) / pupil.diameter;
+    let inside = |index: usize| {
+        let place = DVec2::new(offset(index % side), offset(index / side));
+        pupil.aperture.contains(place * scale)
+    };
     let values = (0..side * side)
         .into_par_iter()
         .map(|index| {

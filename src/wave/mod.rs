@@ -2,7 +2,9 @@
 
 pub mod cases;
 pub mod centroid;
+pub mod columns;
 pub mod correlation;
+pub mod defocus;
 pub mod grain;
 pub mod image;
 pub mod motion;

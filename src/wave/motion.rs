@@ -5,8 +5,8 @@ use super::correlation::{PairCorrelation, correlate_pairs};
 use super::image::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field, pupil_samples};
 use super::patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::{Error, Result};
-use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
+use crate::math::{Aperture, DVec2};
 use crate::speckle::motion::{
     Motion, Source, SurfaceView, ViewRay, defocus_phase, overlap_correlation,
     overlap_correlation_defocused, seed_scalar_sum, speckle_shift,
@@ -214,6 +214,7 @@ impl Plan<'_> {
             right: self.ray.basis[0],
             up: self.ray.basis[1],
             diameter: view.pupil_diameter,
+            aperture: Aperture::Circle,
         };
         let scatterers = lit(&points, &source, view.point + laser, |_| 1.0);
         let field = pupil_field(&scatterers, &pupil, self.wavelength_mm, &self.grid)?;

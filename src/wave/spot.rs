@@ -179,6 +179,7 @@ fn centroid(setup: &SpotSetup, key: Key) -> Result<DVec2> {
         right: DVec3::new(cos, 0.0, -sin),
         up: DVec3::Y,
         diameter: 2.0 * DISTANCE * setup.sin_aperture,
+        aperture: Aperture::Circle,
     };
     let points = patch_filling_view(
         DVec3::ZERO,

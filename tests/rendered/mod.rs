@@ -1,6 +1,7 @@
 //! Rendered frames of a plane that moves, and how their speckle correlates.
 
 use glam::DQuat;
+use lasertrace::frame::Blur;
 use lasertrace::math::{DMat3, DVec2, DVec3, Rigid};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
@@ -227,9 +228,10 @@ impl Image {
     }
 }
 
-pub fn images(geometry: &Geometry, frames: [u32; 2]) -> [Image; 2] {
+pub fn images(geometry: &Geometry, frames: [u32; 2], blur: Blur) -> [Image; 2] {
     let [with, without] = [true, false].map(|speckle| {
-        let scene = geometry.scene(speckle);
+        let mut scene = geometry.scene(speckle);
+        scene.methods.blur = Some(blur).filter(|_| speckle);
         let simulation = Simulation::new(&scene).unwrap();
         frames.map(|frame| simulation.irradiance(frame).dense())
     });

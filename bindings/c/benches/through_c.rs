@@ -5,19 +5,17 @@
 
 #[path = "../../../benches/pairs/mod.rs"]
 mod pairs;
+#[path = "../../../benches/pairs/subject.rs"]
+mod subject;
 
-use lasertrace_core::accel::{Accel, Ray, SurfacePoint};
-use lasertrace_core::math::DVec3;
-use lasertrace_core::{Scene, Simulation};
+use lasertrace::accel::{Accel, SurfacePoint};
+use lasertrace::{Scene, Simulation};
+use lasertrace_core as lasertrace;
 use pairs::{print_ratio, seconds};
 use rayon::prelude::*;
 use std::ffi::{CString, c_char, c_int, c_void};
-use std::path::{Path, PathBuf};
 use std::ptr::{null, null_mut};
-
-const PAIRS: usize = 21;
-const RAYS: usize = 1 << 20;
-const FRAMES: u32 = 8;
+use subject::{FRAMES, PAIRS, RAYS, rays, scene_path};
 
 unsafe extern "C" {
     fn dlopen(file: *const c_char, flags: c_int) -> *mut c_void;
@@ -93,32 +91,6 @@ impl Library {
         // SAFETY: an address of a function, of the type that the caller says.
         unsafe { std::mem::transmute_copy(&found) }
     }
-}
-
-fn scene_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/bracket/scene.toml")
-}
-
-/// Towards places in the part from a sphere around it, in no order.
-fn rays(accel: &Accel) -> Vec<Ray> {
-    let (middle, size) = (accel.bounds().center(), accel.bounds().size());
-    let mut state = 1u64;
-    let mut uniform = || {
-        state = state
-            .wrapping_mul(6364136223846793005)
-            .wrapping_add(1442695040888963407);
-        (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
-    };
-    let mut vector = || DVec3::new(uniform(), uniform(), uniform());
-    let ray = |_| {
-        let origin = middle + vector().normalize() * size.length();
-        Ray {
-            origin,
-            direction: middle + vector() * size - origin,
-            t_max: f64::INFINITY,
-        }
-    };
-    (0..RAYS).map(ray).collect()
 }
 
 fn cast(library: &Library, scene: &Scene, threads: usize) {

@@ -5,7 +5,7 @@ use lasertrace::accel::SurfacePoint;
 use numpy::ndarray::ArrayView2;
 use numpy::{
     Element, PyArray1, PyArrayDescr, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray2,
-    PyUntypedArray, PyUntypedArrayMethods,
+    PyReadwriteArray1, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -60,9 +60,18 @@ impl View<'_> {
     /// N numbers of a row.
     pub fn row<const N: usize>(&self, i: usize) -> [f64; N] {
         match self {
-            View::Single(rows) => std::array::from_fn(|k| rows[[i, k]].into()),
-            View::Double(rows) => std::array::from_fn(|k| rows[[i, k]]),
+            View::Single(rows) => numbers(rows, i),
+            View::Double(rows) => numbers(rows, i),
         }
+    }
+}
+
+fn numbers<T: Copy + Into<f64>, const N: usize>(rows: &ArrayView2<T>, i: usize) -> [f64; N] {
+    let row = rows.row(i);
+    // One look at the strides for all of them.
+    match row.to_slice().and_then(|row| row.first_chunk::<N>()) {
+        Some(row) => row.map(Into::into),
+        None => std::array::from_fn(|k| row[k].into()),
     }
 }
 
@@ -119,15 +128,19 @@ fn rows<'py>(
     }
 }
 
-fn unlike(given: &Bound<'_, PyAny>, name: &str, width: usize, kinds: &str) -> PyErr {
-    let found = match given.cast::<PyUntypedArray>() {
+fn found(given: &Bound<'_, PyAny>) -> String {
+    match given.cast::<PyUntypedArray>() {
         Ok(array) => format!(
             "an array of {} and shape {:?}",
             array.dtype(),
             array.shape()
         ),
         Err(_) => format!("a {}", given.get_type()),
-    };
+    }
+}
+
+fn unlike(given: &Bound<'_, PyAny>, name: &str, width: usize, kinds: &str) -> PyErr {
+    let found = found(given);
     Error::new_err(format!(
         "{name}: found {found}, expected a NumPy array of {kinds} and shape (..., {width}); \
          numpy.asarray and .astype make one"
@@ -220,28 +233,76 @@ fn record<'py, T>(py: Python<'py>, fields: &[(&str, &str, usize)]) -> Bound<'py,
     made().expect("the fields are those of a record")
 }
 
-/// A new array of so many zeros, whose memory is first touched by whom fills it. Errors: too
-/// little memory.
-pub fn zeros<T: Element>(py: Python<'_>, count: usize) -> PyResult<Bound<'_, PyArray1<T>>> {
-    use lasertrace::mesh::memory;
-    let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
-    memory::require(
-        format!("an array of {count} answers"),
-        bytes,
-        memory::available(),
-    )
-    .map_err(crate::raised)?;
-    let array = py
-        .import("numpy")?
-        .call_method1("zeros", (count, T::get_dtype(py)))?;
-    Ok(array.cast_into()?)
+/// What answers are written to: a new array of so many, whose memory is first touched by whom
+/// fills it, or `out`, which has their shape. Errors: too little memory; an `out` that
+/// does not hold them.
+pub fn room<'py, T: Answer>(
+    py: Python<'py>,
+    out: Option<&Bound<'py, PyAny>>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArray1<T>>> {
+    let count = shape.iter().product::<usize>();
+    let Some(out) = out else {
+        use lasertrace::mesh::memory;
+        let bytes = (count as u64).saturating_mul(size_of::<T>() as u64);
+        memory::require(
+            format!("an array of {count} answers"),
+            bytes,
+            memory::available(),
+        )
+        .map_err(crate::raised)?;
+        let array = py
+            .import("numpy")?
+            .call_method1(T::MADE_BY, (count, T::get_dtype(py)))?;
+        return Ok(array.cast_into()?);
+    };
+    let fits = |array: &Bound<'_, PyUntypedArray>| {
+        // Records know no alignment: NumPy takes those at any address for aligned.
+        let address = array.getattr("ctypes")?.getattr("data")?;
+        let aligned = address.extract::<usize>()? % align_of::<T>() == 0;
+        let writeable = array.getattr("flags")?.getattr("writeable")?.is_truthy()?;
+        let same = array.dtype().is_equiv_to(&T::get_dtype(py)) && array.shape() == shape;
+        PyResult::Ok(same && aligned && writeable && array.is_c_contiguous())
+    };
+    match out.cast::<PyUntypedArray>() {
+        Ok(array) if fits(array)? => {
+            let row = array.call_method1("reshape", ((count,),))?;
+            Ok(row.cast_into()?)
+        }
+        _ => Err(Error::new_err(format!(
+            "out: found {}, expected an array as an earlier call returned it for shape {shape:?}: \
+             writable, without gaps",
+            found(out)
+        ))),
+    }
 }
 
-/// The memory of an array that [`zeros`] made and nobody else has yet.
-pub fn fresh<'a, T: Element>(array: &'a mut Bound<'_, PyArray1<T>>) -> &'a mut [T] {
-    // SAFETY: `zeros` made it, contiguous, and it was not handed out: this is the one
-    // reference to its memory, which lives as long as the array.
-    unsafe { array.as_slice_mut() }.expect("a new array is contiguous")
+/// What rays and points get.
+pub trait Answer: Element {
+    /// NumPy's function for an array of them: "empty", which takes large pages, where any bytes
+    /// are one, else "zeros".
+    const MADE_BY: &str;
+}
+
+impl Answer for bool {
+    const MADE_BY: &str = "zeros";
+}
+
+impl Answer for Place {
+    const MADE_BY: &str = "empty";
+}
+
+/// The memory of an array of [`room`]'s. Errors: another thread writes to it, or
+/// reads or writes what shares its memory; it is what is read from.
+pub fn writable<'py, T: Element>(
+    array: &Bound<'py, PyArray1<T>>,
+) -> PyResult<PyReadwriteArray1<'py, T>> {
+    array.try_readwrite().map_err(|_| {
+        let why = "it shares memory with what is read, or another thread writes to it";
+        Error::new_err(format!(
+            "out: found an array in use ({why}), expected one of its own"
+        ))
+    })
 }
 
 /// The same memory as the simulator writes it.

@@ -8,13 +8,14 @@ use lasertrace::camera::Counts;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::Rigid;
 use lasertrace::profile::{Flags, Peak};
+use lasertrace::run::Control;
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyRange, PyRangeMethods};
 use rayon::prelude::*;
 use std::collections::{HashMap, VecDeque};
-use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The flags of points by name.
@@ -34,7 +35,8 @@ pub fn flags() -> HashMap<&'static str, u16> {
 ///
 /// Each frame depends on its number alone: order and threads change no byte. Python's threads
 /// may share a simulation. `threads` limits how many of its own it works on; None: all that
-/// the machine grants.
+/// the machine grants. `progress(share)` is called now and then while the hierarchy of the part is
+/// built, with how much of it is, 0 to 1; what it raises, and Ctrl-C, ends that.
 #[pyclass(frozen, module = "lasertrace")]
 pub struct Simulation {
     core: Arc<Core>,
@@ -45,15 +47,34 @@ pub struct Simulation {
 #[pymethods]
 impl Simulation {
     #[new]
-    #[pyo3(signature = (scene, *, threads = None))]
+    #[pyo3(signature = (scene, *, threads = None, progress = None))]
     fn new(
         py: Python<'_>,
         scene: Py<Scene>,
         threads: Option<&Bound<'_, PyAny>>,
+        progress: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Simulation> {
         let threads = threads::wanted(threads)?;
         let core = &scene.get().core;
-        let made = threads::run(py, threads, |_| Core::new(core))?;
+        // The share that is built, in bits.
+        let built = AtomicU64::new(0);
+        let tell = || match progress {
+            Some(progress) => progress
+                .call1((f64::from_bits(built.load(Relaxed)),))
+                .map(drop),
+            None => Ok(()),
+        };
+        let made = threads::run_telling(py, threads, tell, |stop| {
+            let building = |share: f64| {
+                built.fetch_max(share.to_bits(), Relaxed);
+            };
+            let control = Control {
+                progress: &|_| {},
+                building: Some(&building),
+                stop,
+            };
+            Core::watched(core, &control)
+        })?;
         Ok(Simulation {
             core: Arc::new(made.map_err(raised)?),
             scene,

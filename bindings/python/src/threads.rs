@@ -61,6 +61,17 @@ pub fn run<T: Send>(
     threads: usize,
     work: impl FnOnce(&AtomicBool) -> T + Send,
 ) -> PyResult<T> {
+    run_telling(py, threads, || Ok(()), work)
+}
+
+/// The same; `tell` is called on this thread as often as Ctrl-C is looked for, and what it raises
+/// ends the work too.
+pub fn run_telling<T: Send>(
+    py: Python<'_>,
+    threads: usize,
+    tell: impl Fn() -> PyResult<()>,
+    work: impl FnOnce(&AtomicBool) -> T + Send,
+) -> PyResult<T> {
     let pool = pool(py, threads)?;
     let (stop, mut result) = (AtomicBool::new(false), None);
     let heard = pool.in_place_scope(|scope| {
@@ -80,7 +91,7 @@ pub fn run<T: Send>(
                 return heard;
             }
             if heard.is_ok() {
-                heard = py.check_signals();
+                heard = py.check_signals().and_then(|()| tell());
                 stop.store(heard.is_err(), Relaxed);
             }
         }

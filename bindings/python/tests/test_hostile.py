@@ -68,6 +68,45 @@ def from_two_threads():
             raise errors[0]
 
 
+def into(change):
+    """Rays cast into an array that was made for them and then changed."""
+    caster = RayCaster(SQUARE, HALVES)
+    return caster.cast(rays(0), out=change(caster.cast(rays(0))))
+
+
+def frozen(hits):
+    hits.flags.writeable = False
+    return hits
+
+
+def from_hits():
+    """Rays read from the memory that hits are to be written to."""
+    hits = RayCaster(SQUARE, HALVES).cast(rays(0))
+    same = hits.view("f8")[:30].reshape(5, 6)
+    same[:] = rays(0)
+    return cast(same, out=hits)
+
+
+def into_one_from_two_threads():
+    caster, many = RayCaster(SQUARE, HALVES), np.tile(rays(0), (100_000, 1))
+    hits, errors = caster.cast(many), []
+
+    def work():
+        try:
+            for _ in range(100):
+                caster.cast(many, out=hits)
+        except Error as error:
+            errors.append(error)
+
+    workers = [threading.Thread(target=work) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    if errors:
+        raise errors[0]
+
+
 huge = np.broadcast_to(np.zeros(6), (10**15, 6))
 unlike = np.eye(4)[None] * 2
 sheared = np.eye(4)[None].copy()
@@ -87,6 +126,14 @@ CALLS = [
     ("t_max NaN", lambda: cast(rays(0), t_max=np.nan), "ray 0: t_max NaN"),
     ("t_max negative", lambda: cast(rays(0), t_max=-1), "ray 0: t_max -1"),
     ("10¹⁵ rays that are one", lambda: cast(huge), "memory|allocate"),
+    ("an out of another shape", lambda: into(lambda hits: hits[:4]), r"out: found .* and shape \[4\], expected .* for shape \[5\]"),
+    ("an out of another type", lambda: into(lambda hits: np.zeros(5)), "out: found an array of float64"),
+    ("an out that is no array", lambda: into(list), "out: found a .*list"),
+    ("an out with gaps", lambda: into(lambda hits: np.repeat(hits, 2)[::2]), "writable, without gaps"),
+    ("an out that is read-only", lambda: into(frozen), "writable, without gaps"),
+    ("an out across the words of memory", lambda: into(lambda hits: np.zeros(284, "u1")[1:281].view(hits.dtype)), "writable, without gaps"),
+    ("an out that is the rays", from_hits, "out: found an array in use"),
+    ("one out for two threads", into_one_from_two_threads, "out: found an array in use"),
     ("a point with NaN", lambda: build().nearest(np.full((2, 3), np.nan)), "point 0"),
     ("a vertex with NaN", lambda: build(vertices=SQUARE * np.nan), "vertex 0"),
     ("a vertex beyond 10¹² mm", lambda: build(vertices=SQUARE * 1e13), "vertex 1"),

@@ -59,7 +59,8 @@ class Scenes(unittest.TestCase):
     def test_values_change_by_key_and_the_scene_stays(self):
         scene = Scene.load(BRACKET)
         # 1/N² of the light: half the f-number, four times as much, up to the counts' end.
-        dark = {"speckle": False, "camera.read_noise_e": None, "camera.black_level_dn": None}
+        # A sharp image: the lens's blur changes with the f-number, too.
+        dark = {"speckle": False, "camera.read_noise_e": None, "camera.black_level_dn": None, "plan.blur": "none"}
         narrow = scene.with_values({**dark, "camera.f_number": 32})
         wide = narrow.with_values({"camera.f_number": np.float32(16)})
         mean = [Simulation(s).frame(100).image.astype(float).max() for s in (narrow, wide)]
@@ -202,13 +203,37 @@ class Frames(unittest.TestCase):
         with self.assertRaisesRegex(RuntimeError, "enough"):
             taken.extend(Simulation(Scene.load(PLANE)).frames(progress=stop))
 
-    def test_ctrl_c_ends_a_scan_and_a_cast(self):
+    def test_progress_hears_of_the_building_and_ends_it(self):
+        # Some seconds' worth of triangles.
+        ball = {"part.plane": None, "part.sphere": {"radius_mm": 10, "chord_um": 0.02}}
+        scene = Scene.load(PLANE).with_values(ball)
+        shares = []
+        Simulation(scene, progress=shares.append)
+        self.assertEqual(shares, sorted(shares))
+        self.assertTrue(shares and all(0 <= share <= 1 for share in shares), shares)
+
+        def stop(share):
+            raise RuntimeError("enough")
+
+        with self.assertRaisesRegex(RuntimeError, "enough"):
+            Simulation(scene, progress=stop)
+
+    def test_ctrl_c_ends_what_takes_time(self):
         scan = (
             "import lasertrace\n"
             f"s = lasertrace.Simulation(lasertrace.Scene.load({str(BRACKET)!r}))\n"
             "print('started', flush=True)\n"
             "while True:\n"
             "    for frame in s.frames(): pass\n"
+        )
+        # Far more triangles than can be made ready before.
+        build = (
+            "import lasertrace\n"
+            "ball = {'part.plane': None, 'part.sphere': {'radius_mm': 10, 'chord_um': 0.02}}\n"
+            f"s = lasertrace.Scene.load({str(PLANE)!r}).with_values(ball)\n"
+            "print('started', flush=True)\n"
+            "while True:\n"
+            "    lasertrace.Simulation(s)\n"
         )
         # Far more rays than can be cast before the signal comes, and no memory for them.
         cast = (
@@ -218,7 +243,7 @@ class Frames(unittest.TestCase):
             "while True:\n"
             "    c.any_hit(np.broadcast_to(np.ones(6), (5_000_000, 6)))\n"
         )
-        for program in [scan, cast]:
+        for program in [scan, build, cast]:
             run = subprocess.Popen(
                 [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
             )

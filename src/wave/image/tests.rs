@@ -1,5 +1,4 @@
 use super::*;
-use crate::math::DVec2;
 use crate::math::rng::{Key, Purpose};
 use crate::speckle::motion::Source;
 use crate::wave::correlation::correlate_pairs;
@@ -17,6 +16,7 @@ fn pupil() -> Pupil {
         right: DVec3::X,
         up: DVec3::Y,
         diameter: DIAMETER,
+        aperture: Aperture::Circle,
     }
 }
 

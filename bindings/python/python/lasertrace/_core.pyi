@@ -35,7 +35,13 @@ class Scene:
 
 @final
 class Simulation:
-    def __new__(cls, scene: Scene, *, threads: int | None = None) -> Simulation: ...
+    def __new__(
+        cls,
+        scene: Scene,
+        *,
+        threads: int | None = None,
+        progress: Callable[[float], object] | None = None,
+    ) -> Simulation: ...
     @property
     def scene(self) -> Scene: ...
     @property
@@ -89,12 +95,22 @@ class RayCaster:
         threads: int | None = None,
     ) -> RayCaster: ...
     def cast(
-        self, rays: NDArray[np.floating], *, t_max: float = ...
+        self,
+        rays: NDArray[np.floating],
+        *,
+        t_max: float = ...,
+        out: NDArray[np.void] | None = None,
     ) -> NDArray[np.void]: ...
     def any_hit(
-        self, rays: NDArray[np.floating], *, t_max: float = ...
+        self,
+        rays: NDArray[np.floating],
+        *,
+        t_max: float = ...,
+        out: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.bool_]: ...
-    def nearest(self, points: NDArray[np.floating]) -> NDArray[np.void]: ...
+    def nearest(
+        self, points: NDArray[np.floating], *, out: NDArray[np.void] | None = None
+    ) -> NDArray[np.void]: ...
     @property
     def triangle_count(self) -> int: ...
     @property

@@ -17,8 +17,8 @@ class RayCaster(_RayCaster):
     `vertices`: an array (n, 3), float32 or float64; `triangles`: whole numbers (m, 3). Both
     are copied. `instances`: matrices (k, 4, 4), rotation and translation, for copies of the
     mesh that share its memory. `backend`: "embree", or "rust", which is slower
-    and loses no ray; of rays exactly at a vertex of a surface that is open, or seen from inside,
-    Embree loses about 1 in 100 to 1 in 10 000. `threads`: at most so many; None: all that the machine grants.
+    and loses no ray; of rays exactly at a vertex of a surface that is open Embree loses about 1 in 100
+    to 1 in 10 000. `threads`: at most so many; None: all that the machine grants.
 
     >>> caster = RayCaster(np.eye(3), np.array([[0, 1, 2]]))
     >>> caster.cast(np.array([[0.2, 0.2, 5.0, 0, 0, -1]]))["distance"]

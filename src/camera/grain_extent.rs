@@ -24,7 +24,7 @@ impl GrainExtent {
     };
 
     /// With those of a place, of which there are so many by column and by row
-    /// ([`Camera::grains_per_pixel`](crate::camera::Camera::grains_per_pixel)). A grain along
+    /// ([`Camera::grains_per_pixel`](super::Camera::grains_per_pixel)). A grain along
     /// e is 1/|G·e| long; the smallest is one over the greater singular value of G.
     pub fn with(self, grains: DMat2) -> GrainExtent {
         let along = DVec2::new(grains.x_axis.length(), grains.y_axis.length());

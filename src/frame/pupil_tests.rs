@@ -1,0 +1,134 @@
+use super::*;
+use crate::camera::fixture;
+use crate::math::sinc;
+
+const WAVELENGTH: f64 = 660e-6;
+
+fn pupil(aperture: Aperture, place: DVec2, tilt_deg: f64) -> Pupil {
+    let mut camera = fixture();
+    camera.lens.aperture = aperture;
+    camera.tilt = DVec2::X * tilt_deg.to_radians();
+    Pupil::new(&camera, place, WAVELENGTH)
+}
+
+/// The autocorrelation by brute force, over n² points of the pupil: in each row of them an end is
+/// missed by up to half a step, so that a part of the order of 1/n, which changes sign from
+/// row to row as the ends' places do, remains.
+fn by_sum(pupil: &Pupil, frequency: DVec2, blur: f64, n: usize) -> f64 {
+    let lag = pupil.point(frequency);
+    let slope = pupil.oblique * lag * blur;
+    let contains =
+        |u: DVec2| (pupil.aperture).contains(u / DVec2::new(1.0, pupil.aperture.ratio()));
+    let (mut sum, mut open) = (0.0, 0.0);
+    for k in 0..n * n {
+        let u = (DVec2::new((k % n) as f64, (k / n) as f64) + 0.5) / n as f64 * 2.0 - 1.0;
+        open += f64::from(contains(u));
+        if contains(u + lag / 2.0) && contains(u - lag / 2.0) {
+            sum += (2.0 * PI * u.dot(slope)).cos();
+        }
+    }
+    sum / open
+}
+
+/// [`Pupil::transfers`] of one frequency in f64, its oracle.
+fn transfer(pupil: &Pupil, frequency: DVec2, blur: f64) -> f64 {
+    let rule = gauss_legendre(20 + blur.abs().ceil() as usize);
+    let lag = pupil.point(frequency);
+    let slope = pupil.oblique * lag * blur;
+    let ratio = pupil.aperture.ratio();
+    match pupil.aperture {
+        Aperture::Square => {
+            let left = (DVec2::ONE - lag.abs()).max(DVec2::ZERO);
+            left.x * left.y * sinc(slope.x * left.x) * sinc(slope.y * left.y)
+        }
+        Aperture::Circle | Aperture::Ellipse(_) => {
+            // As a disc, of which two overlap in a lens: strips across the way between them.
+            let (lag, slope) = (
+                lag * DVec2::new(1.0, 1.0 / ratio),
+                slope * DVec2::new(1.0, ratio),
+            );
+            let length = lag.length();
+            if length >= 1.0 {
+                return 0.0;
+            }
+            let along = lag.try_normalize().unwrap_or(DVec2::X);
+            let (by, across) = (slope.dot(along), slope.dot(along.perp()));
+            let widest = length.acos();
+            let strip = |&(x, weight): &(f64, f64)| {
+                let (sin, cos) = (x * widest).sin_cos();
+                let phase = PI * by * (cos - length);
+                weight * sin * sin * phase.cos() * sinc(across * sin)
+            };
+            4.0 / PI * widest * rule.iter().map(strip).sum::<f64>()
+        }
+    }
+}
+
+#[test]
+fn the_transfer_is_the_pupils_autocorrelation() {
+    for aperture in [Aperture::Circle, Aperture::Square, Aperture::Ellipse(0.4)] {
+        for (place, tilt) in [
+            (DVec2::new(400.0, 300.0), 0.0),
+            (DVec2::new(10.0, 580.0), 15.0),
+        ] {
+            let pupil = pupil(aperture, place, tilt);
+            let to_frequency = pupil.grains.transpose();
+            for lag in [
+                [0.0, 0.0],
+                [0.3, 0.0],
+                [0.0, 0.2],
+                [-0.15, 0.25],
+                [0.6, 0.1],
+            ] {
+                for blur in [0.0, 1.5, -8.0, 40.0] {
+                    let frequency = to_frequency * DVec2::from(lag);
+                    let ours = transfer(&pupil, frequency, blur);
+                    let [x, y] = frequency.to_array().map(|f| f32x8::splat(f as f32));
+                    let eight = pupil.transfers([x, y], blur, &Pupil::rule(blur)).to_array()[3];
+                    // f32 in phases of up to some 40 rad.
+                    assert!((eight as f64 - ours).abs() < 1e-5, "{eight} {ours}");
+                    let sum = by_sum(&pupil, frequency, blur, 1000);
+                    assert!(
+                        (ours - sum).abs() < 1e-3,
+                        "{aperture:?} {place} {lag:?} {blur}: {ours} {sum}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// A point beside the focus is spread to the pupil's shadow: where the chief ray and one through
+/// the pupil's edge meet the sensor, by a thin lens.
+#[test]
+fn the_reach_is_the_shadow_of_the_pupil() {
+    for tilt in [0.0, 15.0] {
+        let mut camera = fixture();
+        camera.tilt = DVec2::X * f64::to_radians(tilt);
+        let place = DVec2::new(700.0, 80.0);
+        let pupil = Pupil::new(&camera, place, WAVELENGTH);
+        let point = camera.direction(place) * 180.0;
+        let image_z = camera.lens.image_of(point.z).unwrap();
+        // The point's image, and where rays to it from the pupil's edge meet the sensor.
+        let to_image = camera.sensor_point(place) * (image_z / camera.sensor_point(place).z);
+        let normal = camera.sensor_axes().z_axis;
+        let edge = |angle: f64| {
+            let x = DVec2::from_angle(angle).extend(0.0) * camera.lens.pupil_diameter() / 2.0;
+            let way = to_image - x;
+            let t = normal.dot(camera.sensor_point(DVec2::ZERO) - x) / normal.dot(way);
+            let axes = camera.sensor_axes();
+            let off = x + way * t - camera.sensor_point(place);
+            DVec2::new(axes.x_axis.dot(off), axes.y_axis.dot(off)) / camera.sensor.pixel_pitch
+        };
+        let edges: Vec<DVec2> = (0..64).map(|i| edge(i as f64 * PI / 32.0)).collect();
+        let most = edges.iter().map(|e| e.abs()).fold(DVec2::ZERO, DVec2::max);
+        let vergence = 1.0 / point.z - 1.0 / 25.0 + 1.0 / camera.sensor_point(place).z;
+        let blur = camera.lens.pupil_diameter().powi(2) / WAVELENGTH * vergence;
+        let reach = pupil.reach(blur.abs(), 0.0);
+        // By the grain's slope at the place, over which a tilted sensor's changes.
+        assert!(
+            (reach / most - 1.0).abs().max_element() < 0.02,
+            "{tilt}: {reach} {most}"
+        );
+    }
+}

@@ -1,0 +1,99 @@
+//! Light of a surface that does not fill the pupil evenly, moved to where the middle of its blur lies.
+//!
+//! A lobe that sends light through one side of the pupil moves the centroid of what is out of focus by
+//! (b/2)·⟨u⟩, b the diameter of the blur and ⟨u⟩ the mean pupil point by light, in pupil radii (Seitz & Tiziani
+//! 1993). The lens spreads it from there as if evenly: the centroid is exact, the blur's shape is that of a
+//! full pupil.
+
+use super::light::Light;
+use super::pixels::Rows;
+use super::reference::Seen;
+
+/// A part of a sample's light, where it is moved to.
+struct Moved {
+    /// Number of the sample it comes from.
+    from: usize,
+    /// Column and row of samples.
+    to: [usize; 2],
+    irradiance: f32,
+}
+
+/// The light moved; the same light, at no cost, where nothing is skewed. What is moved off the sensor is lost.
+pub fn skew(light: Light) -> Light {
+    if light.skew.is_empty() {
+        return light;
+    }
+    let side = light.nodes.side();
+    let moved = moved(&light, side);
+    let mut pixels = light.rows.pixels.clone();
+    for Moved { to: [x, y], .. } in &moved {
+        pixels.insert(y / side, x / side, x / side);
+    }
+    let rows = Rows::new(pixels);
+    // Columns of the pixels of each row, and their numbers.
+    let numbers: Vec<Vec<_>> = (0..rows.pixels.rows)
+        .map(|row| rows.pixels.of(row).zip(rows.start(row)..).collect())
+        .collect();
+    let samples = side * side * rows.total();
+    let (mut irradiance, mut blur) = (vec![0.0; samples], vec![0.0; samples]);
+    let mut brightest = vec![0.0; samples];
+    let mut surface = vec![Seen::default(); if light.surface.is_empty() { 0 } else { samples }];
+    for part in moved {
+        let [x, y] = part.to;
+        let row: &[(usize, usize)] = &numbers[y / side];
+        let at = row.partition_point(|&(column, _)| column < x / side);
+        let to = side * side * row[at].1 + y % side * side + x % side;
+        irradiance[to] += part.irradiance;
+        blur[to] += part.irradiance * light.blur[part.from];
+        if let Some(seen) = surface.get_mut(to)
+            && part.irradiance > brightest[to]
+        {
+            *seen = light.surface[part.from];
+            brightest[to] = part.irradiance;
+        }
+    }
+    for (blur, &irradiance) in blur.iter_mut().zip(&irradiance) {
+        if irradiance > 0.0 {
+            *blur /= irradiance;
+        }
+    }
+    Light {
+        rows,
+        irradiance,
+        surface,
+        blur,
+        skew: Vec::new(),
+        ..light
+    }
+}
+
+/// The light of all lit samples, shared linearly by the samples around where it is moved to.
+fn moved(light: &Light, side: usize) -> Vec<Moved> {
+    let (columns, rows) = (light.rows.pixels.columns, light.rows.pixels.rows);
+    let on_sensor = [(columns * side) as f32, (rows * side) as f32];
+    let mut moved = Vec::new();
+    for row in 0..rows {
+        for (column, pixel) in light.rows.pixels.of(row).zip(light.rows.start(row)..) {
+            for (i, &irradiance) in light.samples(pixel).iter().enumerate() {
+                let from = side * side * pixel + i;
+                let [by_x, by_y] = light.skew[from].map(|pixels| pixels * side as f32);
+                let x = (column * side + i % side) as f32 + by_x;
+                let y = (row * side + i / side) as f32 + by_y;
+                for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+                    let (to_x, to_y) = (x.floor() + dx, y.floor() + dy);
+                    let share = (1.0 - (x - to_x).abs()) * (1.0 - (y - to_y).abs());
+                    let inside =
+                        (0.0..on_sensor[0]).contains(&to_x) && (0.0..on_sensor[1]).contains(&to_y);
+                    if inside && share * irradiance > 0.0 {
+                        moved.push(Moved {
+                            from,
+                            to: [to_x as usize, to_y as usize],
+                            irradiance: share * irradiance,
+                        });
+                    }
+                }
+            }
+        }
+    }
+    moved
+}

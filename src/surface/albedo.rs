@@ -1,0 +1,100 @@
+//! The share of light that microfacets reflect at once, by direction, in a table.
+
+use super::ggx::Ggx;
+use crate::math::DVec3;
+use crate::math::quadrature::gauss_legendre;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Steps in √μ: near grazing the albedo changes over μ ≈ α.
+const RISE: usize = 64;
+/// Steps over the quarter turn between along the lay and across it.
+const TURN: usize = 16;
+
+/// E(ω), the share of light from a direction that is reflected at its first facet and leaves; read
+/// linearly in √μ and azimuth.
+#[derive(Clone)]
+pub struct Albedo {
+    /// [`RISE`] + 1 values for each azimuth.
+    values: Vec<f64>,
+    /// Steps of azimuth.
+    turn: usize,
+    /// E_avg, its mean over light from everywhere, weighted by cosine.
+    pub mean: f64,
+}
+
+impl Albedo {
+    /// Of facets that reflect the share `fresnel`, by the cosine of light's angle to them.
+    pub fn new(facets: &Ggx, fresnel: impl Fn(f64) -> f64) -> Albedo {
+        let turn = if facets.is_isotropic() { 0 } else { TURN };
+        let value = |i: usize| {
+            let root = (i % (RISE + 1)) as f64 / RISE as f64;
+            // Grazing itself has no facets seen.
+            let z = (root * root).max(1e-6);
+            let azimuth = FRAC_PI_2 * (i / (RISE + 1)) as f64 / turn.max(1) as f64;
+            let (sin, cos) = azimuth.sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            facets.albedo(DVec3::new(cos * flat, sin * flat, z), &fresnel)
+        };
+        let values = (0..(turn + 1) * (RISE + 1)).map(value).collect();
+        let mut albedo = Albedo {
+            values,
+            turn,
+            mean: 0.0,
+        };
+        // 2∫Eμ dμ, each step by itself: there √μ is linear, and a rule of three nodes exact.
+        let rule = gauss_legendre(3);
+        for i in 0..RISE {
+            for &(x, weight) in &rule {
+                let root = (i as f64 + x) / RISE as f64;
+                let all_round = albedo.all_round(root);
+                albedo.mean += weight / RISE as f64 * 4.0 * root.powi(3) * all_round;
+            }
+        }
+        albedo
+    }
+
+    /// Mean over azimuths, by the trapezoid rule, which is what linear reading has.
+    fn all_round(&self, root: f64) -> f64 {
+        let share = |k: usize| match (self.turn, k) {
+            (0, _) => 1.0,
+            (turn, k) if k == 0 || k == turn => 0.5 / turn as f64,
+            (turn, _) => 1.0 / turn as f64,
+        };
+        let values = (0..=self.turn).map(|k| share(k) * self.along_rise(k, root));
+        values.sum()
+    }
+
+    fn along_rise(&self, azimuth: usize, root: f64) -> f64 {
+        let at = root * RISE as f64;
+        let first = (at as usize).min(RISE - 1);
+        let values = &self.values[azimuth * (RISE + 1) + first..];
+        values[0] + (values[1] - values[0]) * (at - first as f64)
+    }
+
+    /// E of a direction above the surface.
+    pub fn of(&self, w: DVec3) -> f64 {
+        let root = w.z.clamp(0.0, 1.0).sqrt();
+        if self.turn == 0 {
+            return self.along_rise(0, root);
+        }
+        let azimuth = w.y.abs().atan2(w.x.abs());
+        let at = azimuth / FRAC_PI_2 * self.turn as f64;
+        let first = (at as usize).min(self.turn - 1);
+        let (low, high) = (
+            self.along_rise(first, root),
+            self.along_rise(first + 1, root),
+        );
+        low + (high - low) * (at - first as f64)
+    }
+
+    /// (1 − E(i))·(1 − E(o))/(π·(1 − E_avg)), 1/sr: what of white facets is missing, given back
+    /// as far as each direction misses it (Kulla & Conty 2017). Reciprocal, and its flux for light
+    /// from `o` is 1 − E(o).
+    pub fn rest(&self, i: DVec3, o: DVec3) -> f64 {
+        let left = 1.0 - self.mean;
+        if left < 1e-9 {
+            return 0.0;
+        }
+        (1.0 - self.of(i)).max(0.0) * (1.0 - self.of(o)).max(0.0) / (PI * left)
+    }
+}

@@ -1,0 +1,99 @@
+//! Microfacets whose slopes are distributed by GGX (Walter et al. 2007), in directions local to
+//! the surface: x along the lay, y across it, z its normal.
+
+use crate::math::quadrature::gauss_legendre;
+use crate::math::{DVec2, DVec3};
+use std::f64::consts::{FRAC_1_PI, PI};
+
+/// Roughness α along the lay and across it, 0 to 1: half of the facets, by projected area, are less
+/// steep (slope α) where both are the same.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Ggx {
+    /// α_u
+    pub along: f64,
+    /// α_v
+    pub across: f64,
+}
+
+impl Ggx {
+    fn alpha(&self) -> DVec2 {
+        DVec2::new(self.along, self.across)
+    }
+
+    /// The lesser of both.
+    pub fn least(&self) -> f64 {
+        self.along.min(self.across)
+    }
+
+    /// Whether the lay does not matter.
+    pub fn is_isotropic(&self) -> bool {
+        self.along == self.across
+    }
+
+    /// D(m), facet area per solid angle and surface (1/sr), m in the upper hemisphere.
+    pub fn density(&self, m: DVec3) -> f64 {
+        let slope = m.truncate() / self.alpha();
+        let e = slope.length_squared() + m.z * m.z;
+        FRAC_1_PI / (self.along * self.across * e * e)
+    }
+
+    /// Smith's Λ(w).
+    fn lambda(&self, w: DVec3) -> f64 {
+        let tan2 = (w.truncate() * self.alpha()).length_squared() / (w.z * w.z);
+        ((1.0 + tan2).sqrt() - 1.0) / 2.0
+    }
+
+    /// G₂/(4·μ_i·μ_o) with heights correlated (Heitz 2014), for two directions above the
+    /// surface.
+    fn masking(&self, i: DVec3, o: DVec3) -> f64 {
+        1.0 / (4.0 * i.z * o.z * (1.0 + self.lambda(i) + self.lambda(o)))
+    }
+
+    /// BRDF (1/sr) of facets that reflect the share `fresnel` of light by the cosine of its angle
+    /// to them; 0 unless both directions are above the surface.
+    pub fn bsdf(&self, i: DVec3, o: DVec3, fresnel: impl Fn(f64) -> f64) -> f64 {
+        if !(i.z > 0.0 && o.z > 0.0) {
+            return 0.0;
+        }
+        let m = (i + o).normalize();
+        self.density(m) * self.masking(i, o) * fresnel(o.dot(m).min(1.0))
+    }
+
+    /// A facet that is seen from `o`, at (u₁, u₂) of the unit square: the square's measure is that
+    /// of the facets seen (Heitz 2018).
+    fn seen_facet(&self, o: DVec3, u: DVec2) -> DVec3 {
+        let alpha = self.alpha().extend(1.0);
+        let stretched = (o * alpha).normalize();
+        let flat = DVec2::new(-stretched.y, stretched.x);
+        let first = flat.try_normalize().unwrap_or(DVec2::X).extend(0.0);
+        let second = stretched.cross(first);
+        let (sin, cos) = (2.0 * PI * u.y).sin_cos();
+        let (x, y) = (u.x.sqrt() * cos, u.x.sqrt() * sin);
+        let s = 0.5 * (1.0 + stretched.z);
+        let y = (1.0 - s) * (1.0 - x * x).max(0.0).sqrt() + s * y;
+        let z = (1.0 - x * x - y * y).max(0.0).sqrt();
+        let m = first * x + second * y + stretched * z;
+        DVec3::new(m.x * self.along, m.y * self.across, m.z.max(1e-12)).normalize()
+    }
+
+    /// Share of light from `o` that is reflected at its first facet and leaves, 0 to 1.
+    pub fn albedo(&self, o: DVec3, fresnel: impl Fn(f64) -> f64) -> f64 {
+        const TURNS: usize = 32;
+        let seen = self.lambda(o);
+        let left = |u: DVec2| {
+            let m = self.seen_facet(o, u);
+            let cosine = o.dot(m).clamp(0.0, 1.0);
+            let i = m * (2.0 * cosine) - o;
+            if i.z <= 0.0 {
+                return 0.0;
+            }
+            fresnel(cosine) * (1.0 + seen) / (1.0 + seen + self.lambda(i))
+        };
+        let rings = gauss_legendre(24);
+        let ring = |&(x, weight): &(f64, f64)| {
+            let turn = |k: usize| left(DVec2::new(x, (k as f64 + 0.5) / TURNS as f64));
+            weight * (0..TURNS).map(turn).sum::<f64>() / TURNS as f64
+        };
+        rings.iter().map(ring).sum()
+    }
+}

@@ -1,0 +1,216 @@
+//! Energy, reciprocity and power of the lobes, by quadrature of their own.
+
+use super::*;
+use crate::math::rng::{Key, Purpose};
+use crate::math::{DVec2, DVec3};
+use std::f64::consts::PI;
+
+/// Share of light from `o` that `bsdf` sends anywhere: the mean of two midpoint rules, one
+/// that follows facets distributed as D (Walter et al. 2007) and one that follows the cosine, each
+/// weighted by its share of both densities (Veach 1995), so that neither meets a peak of the
+/// other.
+fn power(facets: &Ggx, o: DVec3, bsdf: impl Fn(DVec3) -> f64) -> f64 {
+    const STEPS: usize = 300;
+    let of_facets = |i: DVec3| {
+        let m = (i + o).normalize();
+        facets.density(m) * m.z / (4.0 * o.dot(m).max(1e-12))
+    };
+    let of_cosine = |i: DVec3| i.z / PI;
+    let mut sum = 0.0;
+    for k in 0..STEPS * STEPS {
+        let u = DVec2::new((k % STEPS) as f64 + 0.5, (k / STEPS) as f64 + 0.5) / STEPS as f64;
+        let (sin, cos) = (2.0 * PI * u.y).sin_cos();
+        let tan = (u.x / (1.0 - u.x)).sqrt();
+        let m = DVec3::new(facets.along * tan * cos, facets.across * tan * sin, 1.0).normalize();
+        let mirrored = m * (2.0 * o.dot(m)) - o;
+        let even = DVec3::new(u.x.sqrt() * cos, u.x.sqrt() * sin, (1.0 - u.x).sqrt());
+        for i in [mirrored, even] {
+            if i.z > 0.0 {
+                sum += bsdf(i) * i.z / (of_facets(i) + of_cosine(i));
+            }
+        }
+    }
+    sum / (STEPS * STEPS) as f64
+}
+
+fn towards(degrees: f64, azimuth: f64) -> DVec3 {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (y, x) = azimuth.to_radians().sin_cos();
+    DVec3::new(sin * x, sin * y, cos)
+}
+
+const ROUGH: [[f64; 2]; 6] = [
+    [0.02, 0.02],
+    [0.1, 0.1],
+    [0.4, 0.4],
+    [1.0, 1.0],
+    [0.05, 0.3],
+    [0.2, 0.8],
+];
+
+/// A furnace: white metal gives back all light, from each direction. 0.5 % is the goal.
+#[test]
+fn white_metal_loses_nothing() {
+    for [along, across] in ROUGH {
+        let facets = Ggx { along, across };
+        let metal = Metal::white(facets);
+        let once = |i, o| facets.bsdf(i, o, |_| 1.0);
+        for angle in [0.0, 30.0, 60.0, 80.0, 87.0] {
+            let azimuths: &[f64] = if along == across {
+                &[0.0]
+            } else {
+                &[0.0, 35.0, 90.0]
+            };
+            for &azimuth in azimuths {
+                let o = towards(angle, azimuth);
+                let all = power(&facets, o, |i| metal.bsdf(i, o));
+                assert!(
+                    (all - 1.0).abs() < 5e-3,
+                    "{along} {across} {angle} {azimuth}: {all}"
+                );
+                // Without what is given back rough metal fails.
+                let lost = 1.0 - power(&facets, o, |i| once(i, o));
+                assert!(along < 1.0 || lost > 0.1, "{lost}");
+            }
+        }
+    }
+}
+
+/// All light that comes to white paint leaves it; of others less, and none is made.
+#[test]
+fn coats_and_metals_make_no_light() {
+    for [along, across] in ROUGH {
+        let facets = Ggx { along, across };
+        let metal = Metal::new(1.6575, 9.2238, facets);
+        let white = Coat::new(1.5, 1.0, facets);
+        let grey = Coat::new(1.5, 0.5, facets);
+        for angle in [0.0, 45.0, 80.0] {
+            let o = towards(angle, 20.0);
+            let all = |coat: &Coat| power(&facets, o, |i| coat.gloss(i, o) + coat.body(i, o));
+            assert!(
+                (all(&white) - 1.0).abs() < 5e-3,
+                "{along} {angle} {}",
+                all(&white)
+            );
+            // ρ = 0.5 within n = 1.5: (1 − E)·ρ·out/(1 − ρ(1 − out)), out = 0.404 (Saunderson 1942).
+            assert!((0.25..0.7).contains(&all(&grey)), "{}", all(&grey));
+            let metal = power(&facets, o, |i| metal.bsdf(i, o));
+            assert!(
+                (0.8..0.97).contains(&metal),
+                "{along} {across} {angle} {metal}"
+            );
+        }
+    }
+}
+
+/// A smooth coat (α = 0.01) of n = 1.5 over ρ = 0.5, seen and lit from above but beside the gloss, is what
+/// Saunderson (1942) has: (1 − F)²·ρ/(π·n²·(1 − ρ·r)), r = 1 − (1 − 0.0918)/n².
+#[test]
+fn a_smooth_coat_is_saundersons() {
+    let facets = Ggx {
+        along: 0.01,
+        across: 0.01,
+    };
+    let coat = Coat::new(1.5, 0.5, facets);
+    let (i, o) = (towards(20.0, 0.0), towards(20.0, 90.0));
+    let fresnel = 1.0 - fresnel::dielectric(1.5, i.z);
+    let held = 1.0 - (1.0 - 0.0918) / 2.25;
+    let expected = fresnel * fresnel * 0.5 / (PI * 2.25 * (1.0 - 0.5 * held));
+    let found = coat.body(i, o);
+    // A table of 65 steps, and E_avg of a surface that is not quite smooth.
+    assert!((found / expected - 1.0).abs() < 2e-3, "{found} {expected}");
+}
+
+/// f(i, o) = f(o, i) in directions everywhere, of a mix of all lobes on a lay: to 1e-6.
+#[test]
+fn light_may_go_both_ways() {
+    let facets = Ggx {
+        along: 0.07,
+        across: 0.4,
+    };
+    let lobes = vec![
+        (0.3, Lobe::Matt(Lambert { reflectance: 0.8 })),
+        (0.4, Lobe::Metal(Metal::new(2.9, 3.1, facets))),
+        (0.3, Lobe::Coat(Coat::new(1.6, 0.4, facets))),
+    ];
+    let lay = Lay::About {
+        point: DVec3::new(1.0, 2.0, 3.0),
+        axis: DVec3::Z,
+    };
+    let surface = Surface::Glossy(Arc::new(Glossy {
+        lobes,
+        lay: Some(lay),
+    }));
+    let key = Key::new(3, Purpose::SensorNoise);
+    for trial in 0..2000 {
+        let random = |j| key.with(trial).uniform(j);
+        let any = |j| (DVec3::new(random(j), random(j + 1), random(j + 2)) - 0.5).normalize();
+        let normal = any(0);
+        let above = |v: DVec3| if v.dot(normal) < 0.0 { -v } else { v };
+        let (i, o, point) = (above(any(3)), above(any(6)), any(9) * 10.0);
+        let there = surface.bsdf(point, normal, i, o);
+        let back = surface.bsdf(point, normal, o, i);
+        assert!(there > 0.0 && there.is_finite());
+        assert!((there / back - 1.0).abs() < 1e-6, "{there} {back}");
+        assert_eq!(surface.bsdf(point, normal, -normal, o), 0.0);
+    }
+}
+
+/// Grooves along x send light across x: a lay turned by 90° is the surface turned.
+#[test]
+fn the_lay_turns_the_lobe() {
+    let facets = Ggx {
+        along: 0.05,
+        across: 0.4,
+    };
+    let milled = |lay| {
+        let lobes = vec![(1.0, Lobe::Metal(Metal::new(1.6575, 9.2238, facets)))];
+        Surface::Glossy(Arc::new(Glossy {
+            lobes,
+            lay: Some(lay),
+        }))
+    };
+    let along_x = milled(Lay::Along(DVec3::X));
+    let seen = |surface: &Surface, point: DVec3, azimuth: f64| {
+        surface.bsdf(point, DVec3::Z, DVec3::Z, towards(30.0, azimuth))
+    };
+    let [beside, across] = [0.0, 90.0].map(|azimuth| seen(&along_x, DVec3::ZERO, azimuth));
+    assert!(across > 5.0 * beside, "{across} {beside}");
+    let turned = milled(Lay::About {
+        point: DVec3::ZERO,
+        axis: DVec3::Z * 1.0,
+    });
+    // At (0, −1) grooves about z run along x; at (1, 0) along y.
+    for (point, turn) in [(DVec3::NEG_Y, 0.0), (DVec3::X, 90.0)] {
+        for azimuth in [0.0, 20.0, 90.0] {
+            let there = seen(&turned, point, azimuth + turn);
+            let here = seen(&along_x, DVec3::ZERO, azimuth);
+            assert!((there / here - 1.0).abs() < 1e-12, "{there} {here}");
+        }
+    }
+    // On the axis there is no lay, and still a surface.
+    assert!(seen(&turned, DVec3::ZERO, 10.0) > 0.0);
+}
+
+/// Metal keeps polarisation, matt light has lost it, and paint has both by what is seen of them.
+#[test]
+fn polarisation_follows_the_lobe() {
+    let facets = Ggx {
+        along: 0.1,
+        across: 0.1,
+    };
+    let of = |lobe: Lobe, eye: DVec3| {
+        let surface = Glossy {
+            lobes: vec![(1.0, lobe)],
+            lay: None,
+        };
+        let lit = surface.lit(DVec3::ZERO, DVec3::Z, towards(30.0, 180.0));
+        lit.polarised(eye)
+    };
+    let mirrored = towards(30.0, 0.0);
+    assert_eq!(of(Lobe::Metal(Metal::new(2.9, 3.1, facets)), mirrored), 1.0);
+    assert_eq!(of(Lobe::Matt(Lambert { reflectance: 0.5 }), mirrored), 0.0);
+    let paint = || Lobe::Coat(Coat::new(1.5, 0.5, facets));
+    assert!(of(paint(), mirrored) > 0.5);
+    assert!(of(paint(), towards(60.0, 180.0)) < 0.05);
+}
