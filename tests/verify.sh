@@ -132,6 +132,19 @@ else
     row "$name" "$(tail -n 1 "$log" | tr '|' ' ')" passed "$met" "$command"
 fi
 
+name='a scan in shards on two nodes of Slurm'
+command='tests/slurm.sh target/release/lasertrace'
+goal='nodes killed, the bytes of an undivided scan'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif [ "$(id -u)" -ne 0 ] || ! command -v slurmctld >/dev/null || ! command -v munged >/dev/null; then
+    skip "$name" "$goal" 'needs root, slurm-wlm and munge' "$command"
+else
+    try build cargo build --release --bin lasertrace
+    try slurm $command
+    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+fi
+
 . benches/conditions.sh
 {
     echo '# Verification'
