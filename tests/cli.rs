@@ -261,16 +261,13 @@ fn a_disk_of_64_kib_fills_up_and_what_is_there_is_whole() {
     let arguments = ["scan", "scene.toml", "-o", out.to_str().unwrap()];
     assert_error(path, &arguments, 75, &["cannot write", "No space left"]);
     assert!(!out.join("manifest.json").exists());
-    for kind in ["profiles", "frames"] {
-        for entry in fs::read_dir(out.join(kind)).unwrap() {
-            let name = entry.unwrap().file_name();
-            let whole = fs::read(path.join("whole").join(kind).join(&name)).unwrap();
-            assert_eq!(
-                fs::read(out.join(kind).join(&name)).unwrap(),
-                whole,
-                "{name:?}"
-            );
-        }
+    let images: Vec<_> = fs::read_dir(out.join("frames")).unwrap().collect();
+    assert!(!images.is_empty());
+    for image in images {
+        let name = image.unwrap().file_name();
+        let whole = fs::read(path.join("whole/frames").join(&name)).unwrap();
+        let found = fs::read(out.join("frames").join(&name)).unwrap();
+        assert_eq!(found, whole, "{name:?}");
     }
 }
 

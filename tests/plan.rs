@@ -183,33 +183,26 @@ fn the_share_of_points_out_of_focus_is_that_of_their_depths() {
         let folder = folder_with(&text);
         let summary = json(
             folder.path(),
-            &["scan", "scene.toml", "-o", "out", "--json"],
+            &["scan", "scene.toml", "-o", "out", "--also", "csv", "--json"],
         );
         let plan = json(folder.path(), &["check", "scene.toml", "--json"])["plan"].take();
         let eye = DVec3::new(0.0, -57.5, 99.6);
         let behind = 1.0 / (1.0 / 16.0 - 1.0 / focus);
         let (mut points, mut blurred, mut open, mut doubtful) = (0.0, 0.0, 0.0, 0.0);
-        for frame in 0..3 {
-            let path = folder
-                .path()
-                .join(format!("out/profiles/profile-{frame:06}.csv"));
-            let head = DVec3::Y * (-0.5 + 0.5 * frame as f64);
-            for line in fs::read_to_string(path).unwrap().lines().skip(1) {
-                let cells: Vec<&str> = line.split(',').collect();
-                if cells[5].is_empty() {
-                    continue;
-                }
-                let number = |cell: usize| cells[cell].parse::<f64>().unwrap();
-                let place = DVec3::new(number(5), number(6), number(7));
-                let from_eye = DMat3::from_rotation_y(lean) * place - eye - head;
-                let image = 1.0 / (1.0 / 16.0 - 1.0 / from_eye.dot(-eye.normalize()));
-                let blur = 16.0 / f_number * (behind / image - 1.0).abs() / 0.03;
-                let ratio = blur / (2.0 * number(3));
-                points += 1.0;
-                blurred += f64::from(u8::from(ratio > 1.0));
-                open += f64::from(u8::from((ratio - 1.0).abs() < 1e-3));
-                doubtful += f64::from(u8::from(!cells[4].is_empty()));
-            }
+        let cloud = fs::read_to_string(folder.path().join("out/cloud.csv")).unwrap();
+        for line in cloud.lines().skip(1) {
+            let numbers = line.split(',').map(|cell| cell.parse::<f64>().unwrap());
+            let cells: Vec<f64> = numbers.collect();
+            let place = DVec3::new(cells[0], cells[1], cells[2]);
+            let head = DVec3::Y * (-0.5 + 0.5 * cells[7]);
+            let from_eye = DMat3::from_rotation_y(lean) * place - eye - head;
+            let image = 1.0 / (1.0 / 16.0 - 1.0 / from_eye.dot(-eye.normalize()));
+            let blur = 16.0 / f_number * (behind / image - 1.0).abs() / 0.03;
+            let ratio = blur / (2.0 * cells[11]);
+            points += 1.0;
+            blurred += f64::from(u8::from(ratio > 1.0));
+            open += f64::from(u8::from((ratio - 1.0).abs() < 1e-3));
+            doubtful += f64::from(u8::from(cells[9] != 0.0));
         }
         let found = summary["blurred_share"].as_f64().unwrap();
         assert!(points > 60.0, "{points}");

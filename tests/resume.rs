@@ -105,8 +105,8 @@ fn drawn(state: &mut u64) -> f64 {
 /// start, above 0.9 within 50 ms of its last frame, else when that share of the
 /// frames it found missing are there. Whether it was still at work.
 fn kill(folder: &Path, frames: usize, share: f64, moment: f64) -> bool {
-    let profiles = folder.join("out/profiles");
-    let count = || fs::read_dir(&profiles).map_or(0, |entries| entries.count());
+    let images = folder.join("out/frames");
+    let count = || fs::read_dir(&images).map_or(0, |entries| entries.count());
     let before = count();
     let of_rest = ((share - 0.1) / 0.8).min(1.0);
     let target = before + ((frames - before.min(frames)) as f64 * of_rest) as usize;
@@ -171,7 +171,7 @@ fn damaged_files_are_found_and_made_again() {
         assert!(kept.contains(&found), "{what}: {found} frames kept");
     };
     again("nothing", 40..=40);
-    for name in ["profiles/profile-000017.csv", "frames/frame-000003.png"] {
+    for name in ["frames/frame-000017.png", "frames/frame-000003.png"] {
         damage(name, &|bytes| bytes[40] ^= 1);
         again("flipped", 40..=40);
         damage(name, &|bytes| bytes.truncate(bytes.len() / 2));
@@ -179,7 +179,13 @@ fn damaged_files_are_found_and_made_again() {
         fs::remove_file(path.join("out").join(name)).unwrap();
         again("missing", 40..=40);
     }
-    for name in ["cloud.ply", "report.html", "summary.json", "cloud.png"] {
+    for name in [
+        "cloud.ply",
+        "profiles.npy",
+        "report.html",
+        "summary.json",
+        "cloud.png",
+    ] {
         damage(name, &|bytes| bytes.truncate(99));
         again(name, 40..=40);
     }
@@ -191,8 +197,8 @@ fn damaged_files_are_found_and_made_again() {
     again("header flipped", 0..=0);
     fs::remove_file(path.join("out/frames.journal")).unwrap();
     again("journal missing", 0..=0);
-    fs::remove_dir_all(path.join("out/profiles")).unwrap();
-    again("profiles missing", 40..=40);
+    fs::remove_dir_all(path.join("out/frames")).unwrap();
+    again("frames missing", 40..=40);
 }
 
 #[test]
@@ -279,7 +285,7 @@ fn assert_pieces_equal_the_whole(text: &str) {
         }
         cloud.extend(vertices(&found["cloud.ply"]));
     }
-    assert_eq!(frames, 2 * 9);
+    assert_eq!(frames, 9);
     assert!(cloud == vertices(&expected["cloud.ply"]));
     let folder = folder_with(text);
     for (wrong, words) in [
@@ -302,8 +308,8 @@ fn a_second_run_into_the_folder_of_another_is_refused() {
     let path = folder.path();
     let mut first = start(path, &[]);
     let begin = Instant::now();
-    while !path.join("out/profiles/profile-000000.csv").exists() {
-        assert!(begin.elapsed() < Duration::from_secs(60), "no profile");
+    while !path.join("out/frames/frame-000000.png").exists() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "no frame");
         sleep(Duration::from_millis(5));
     }
     for more in [&[][..], &["--resume"]] {

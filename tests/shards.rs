@@ -79,7 +79,7 @@ fn merge(folder: &Path) -> (i32, String, String) {
 fn results(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let out = folder.join("out");
     let mut found = BTreeMap::new();
-    for below in ["", "profiles", "frames"] {
+    for below in ["", "frames"] {
         for entry in fs::read_dir(out.join(below)).unwrap() {
             let path = entry.unwrap().path();
             if path.is_file() {
@@ -126,8 +126,7 @@ fn shards_killed_run_twice_damaged_and_lost_give_the_bytes_of_an_undivided_scan(
     let out = folder.path().join("out");
     // 6 is killed while it works.
     let mut killed = started(folder.path(), "6/8");
-    while !out.join("profiles/profile-000006.csv").exists() && killed.try_wait().unwrap().is_none()
-    {
+    while !out.join("frames/frame-000006.png").exists() && killed.try_wait().unwrap().is_none() {
         sleep(Duration::from_millis(1));
     }
     killed.kill().unwrap();
@@ -172,7 +171,7 @@ fn shards_killed_run_twice_damaged_and_lost_give_the_bytes_of_an_undivided_scan(
         assert_eq!(code, 0, "{stderr}");
     }
     // Frames' files that are lost or damaged are made again.
-    fs::remove_file(out.join("profiles/profile-000009.csv")).unwrap();
+    fs::remove_file(out.join("frames/frame-000009.png")).unwrap();
     fs::write(out.join("frames/frame-000010.png"), "no picture").unwrap();
     for what in ["merged", "merged again"] {
         let (code, _, stderr) = merge(folder.path());

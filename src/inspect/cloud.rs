@@ -25,6 +25,10 @@ pub struct CloudPoint {
     pub frame: u32,
     /// Column of the image it was found in.
     pub column: u32,
+    /// Row of the line in that column, px.
+    pub row: f64,
+    /// Standard deviation of the line's width there, px.
+    pub width: f64,
     /// What is doubtful about its peak.
     pub flags: Flags,
     /// Unit normal of the CAD at the place nearest to the point, on the camera's side, part frame.

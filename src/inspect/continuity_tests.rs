@@ -46,6 +46,8 @@ fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             intensity: 1000.0,
             frame,
             column,
+            row: 0.0,
+            width: 1.0,
             flags: Flags::empty(),
             normal: glam::Vec3::Z,
         }

@@ -1,10 +1,9 @@
-//! The cloud in other forms than PLY.
+//! The cloud in other forms than PLY, and the profiles.
 
 use crate::inspect::cloud::CloudPoint;
 use e57::{E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
 use sha2::{Digest, Sha256};
-use std::fmt::Write;
-use std::io::{self, Cursor};
+use std::io::{self, Cursor, Write};
 
 /// A form of the cloud beside PLY.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,20 +12,17 @@ pub enum Format {
     Csv,
     /// ASTM E2807, in metres as it demands.
     E57,
-    /// All profiles in one array of NumPy's.
-    Npy,
 }
 
 impl Format {
     /// All, in the order of this list.
-    pub const ALL: [Format; 3] = [Format::Csv, Format::E57, Format::Npy];
+    pub const ALL: [Format; 2] = [Format::Csv, Format::E57];
 
     /// Name of its file in the folder of a scan.
     pub fn file_name(self) -> &'static str {
         match self {
             Format::Csv => "cloud.csv",
             Format::E57 => "cloud.e57",
-            Format::Npy => "profiles.npy",
         }
     }
 
@@ -35,41 +31,42 @@ impl Format {
         match self {
             Format::Csv => "csv",
             Format::E57 => "e57",
-            Format::Npy => "npy",
         }
     }
 
-    /// The whole file: some 70 bytes a point, twice that as text.
-    pub fn bytes(self, points: &[CloudPoint]) -> io::Result<Vec<u8>> {
+    /// The file's content.
+    pub fn write(self, out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         match self {
-            Format::Csv => Ok(csv(points).into_bytes()),
-            Format::E57 => e57(points).map_err(io::Error::other),
-            Format::Npy => Ok(npy(points)),
+            Format::Csv => csv(out, points),
+            // Its writer goes back to what it has written.
+            Format::E57 => out.write_all(&e57(points).map_err(io::Error::other)?),
         }
     }
 }
 
 /// x, y and z first, in mm, so that readers of bare XYZ files take the first three.
-fn csv(points: &[CloudPoint]) -> String {
-    let mut text = String::from(
-        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags\n",
-    );
+fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
+    writeln!(
+        out,
+        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px"
+    )?;
     for p in points {
         let [x, y, z] = p.position.to_array();
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            text,
-            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{}",
+        writeln!(
+            out,
+            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3}",
             p.deviation,
             p.sigma,
             p.deviation_sigma,
             p.intensity,
             p.frame,
             p.column,
-            p.flags.bits()
-        );
+            p.flags.bits(),
+            p.row,
+            p.width
+        )?;
     }
-    text
+    Ok(())
 }
 
 /// Names of the attributes that E57 itself does not know.
@@ -146,19 +143,21 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
-/// A structured array, version 1.0 of the format (NumPy enhancement proposal 1):
-/// the header is padded to a multiple of 64 bytes.
-fn npy(points: &[CloudPoint]) -> Vec<u8> {
+/// The profiles of all frames: a structured array of NumPy's, version 1.0 of the format (NumPy enhancement
+/// proposal 1), whose header is padded to a multiple of 64 bytes.
+pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     let fields = [
         ("frame", "<u4"),
         ("column", "<u4"),
+        ("row_px", "<f8"),
+        ("width_px", "<f8"),
+        ("intensity_dn", "<f8"),
         ("x_mm", "<f8"),
         ("y_mm", "<f8"),
         ("z_mm", "<f8"),
         ("deviation_mm", "<f8"),
         ("sigma_mm", "<f8"),
         ("deviation_sigma_mm", "<f8"),
-        ("intensity_dn", "<f8"),
         ("flags", "<u2"),
     ];
     let fields = fields.map(|(name, kind)| format!("('{name}', '{kind}')"));
@@ -172,27 +171,29 @@ fn npy(points: &[CloudPoint]) -> Vec<u8> {
         header.push(' ');
     }
     header.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
+    out.write_all(b"\x93NUMPY\x01\x00")?;
+    out.write_all(&(header.len() as u16).to_le_bytes())?;
+    out.write_all(header.as_bytes())?;
     for p in points {
-        bytes.extend(p.frame.to_le_bytes());
-        bytes.extend(p.column.to_le_bytes());
+        out.write_all(&p.frame.to_le_bytes())?;
+        out.write_all(&p.column.to_le_bytes())?;
         let [x, y, z] = p.position.to_array();
         for value in [
+            p.row,
+            p.width,
+            p.intensity,
             x,
             y,
             z,
             p.deviation,
             p.sigma,
             p.deviation_sigma,
-            p.intensity,
         ] {
-            bytes.extend(value.to_le_bytes());
+            out.write_all(&value.to_le_bytes())?;
         }
-        bytes.extend(p.flags.bits().to_le_bytes());
+        out.write_all(&p.flags.bits().to_le_bytes())?;
     }
-    bytes
+    Ok(())
 }
 
 #[cfg(test)]
@@ -212,18 +213,26 @@ mod tests {
                 intensity: 1234.5,
                 frame: i / 20,
                 column: i % 20,
+                row: 31.25,
+                width: 1.5,
                 flags: Flags::EDGE,
                 normal: glam::Vec3::Z,
             })
             .collect()
     }
 
+    fn written(write: impl Fn(&mut Vec<u8>) -> io::Result<()>) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        write(&mut bytes).unwrap();
+        bytes
+    }
+
     /// As another program reads it: metres, and the point's own attributes.
     #[test]
     fn an_e57_is_read_back() {
         let points = points();
-        let bytes = Format::E57.bytes(&points).unwrap();
-        assert_eq!(bytes, Format::E57.bytes(&points).unwrap());
+        let bytes = written(|out| Format::E57.write(out, &points));
+        assert_eq!(bytes, written(|out| Format::E57.write(out, &points)));
         let mut reader = E57Reader::new(Cursor::new(bytes)).unwrap();
         let cloud = reader.pointclouds().remove(0);
         assert_eq!(cloud.records, 200);
@@ -242,24 +251,26 @@ mod tests {
     /// The header's own rules, and where the first point lies.
     #[test]
     fn an_npy_is_laid_out_as_numpy_wants_it() {
-        let bytes = Format::Npy.bytes(&points()).unwrap();
+        let bytes = written(|out| npy(out, &points()));
         let length = u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
         assert_eq!((10 + length) % 64, 0);
         let header = std::str::from_utf8(&bytes[10..10 + length]).unwrap();
         assert!(header.contains("'shape': (200,)") && header.ends_with('\n'));
         let data = &bytes[10 + length..];
-        assert_eq!(data.len(), 200 * 66);
-        assert_eq!(data[66 + 4..66 + 8], 1u32.to_le_bytes());
-        assert_eq!(data[66 + 8..66 + 16], (1.0f64 / 3.0).to_le_bytes());
+        assert_eq!(data.len(), 200 * 82);
+        let second = &data[82..];
+        assert_eq!(second[4..8], 1u32.to_le_bytes());
+        assert_eq!(second[8..16], 31.25f64.to_le_bytes());
+        assert_eq!(second[32..40], (1.0f64 / 3.0).to_le_bytes());
     }
 
     #[test]
     fn a_csv_has_a_line_a_point_and_an_empty_cloud_is_no_error() {
-        let text = String::from_utf8(Format::Csv.bytes(&points()).unwrap()).unwrap();
+        let text = String::from_utf8(written(|out| Format::Csv.write(out, &points()))).unwrap();
         assert_eq!(text.lines().count(), 201);
-        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 10);
+        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 12);
         for format in Format::ALL {
-            assert!(format.bytes(&[]).is_ok(), "{format:?}");
+            assert!(format.write(&mut Vec::new(), &[]).is_ok(), "{format:?}");
         }
     }
 }

@@ -77,6 +77,8 @@ mod tests {
             intensity: 900.0,
             frame: 70_000 + i,
             column: 7,
+            row: 31.25,
+            width: 1.5,
             flags: Flags::WEAK | Flags::EDGE,
             normal: Vec3::Y,
         };

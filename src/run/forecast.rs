@@ -21,8 +21,8 @@ const FRAMES_ASKED: u32 = 256;
 
 /// Bytes of a point in the report: as read from the journal, and all in a row.
 const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
-/// Bytes of a point on disk: in `cloud.ply`, and at most in the journal.
-const POINT_ON_DISK: u64 = 67 + 92;
+/// Bytes of a point on disk: in `cloud.ply`, `profiles.npy`, and at most in the journal.
+const POINT_ON_DISK: u64 = 67 + 82 + 108;
 /// Bytes of a frame in the journal beside its points.
 const RECORD: u64 = 36 + 80;
 /// Report, pictures and summary on disk, about, and in memory while they are made.
@@ -82,7 +82,7 @@ pub(crate) fn forecast_of(
     })
 }
 
-/// What frames take together: seconds of one core, points, and bytes of their files.
+/// What frames take together: seconds of one core, points, and bytes of their images.
 #[derive(Default)]
 struct Taken {
     seconds: f64,
@@ -112,7 +112,7 @@ fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Res
             let content = FrameContent::of(simulation, frame);
             sample.seconds += start.elapsed().as_secs_f64();
             sample.points += content.points.len() as f64;
-            sample.bytes += content.files.iter().map(Vec::len).sum::<usize>() as f64;
+            sample.bytes += content.image.map_or(0, |image| image.len()) as f64;
             columns += lit;
         }
         let by_number = share * kind.len() as f64 / chosen.len().max(1) as f64;

@@ -1,5 +1,5 @@
 //! The journal of a scan, `frames.journal`: the finished frames in their order,
-//! each with its points and the checksums of its files, so that a run that was
+//! each with its points and the checksum of its image, so that a run that was
 //! killed can go on and one that is whole can be checked.
 //!
 //! ```text
@@ -76,8 +76,8 @@ impl RunKey {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
     pub frame: u32,
-    /// Of the frame's files, in the order in which the scan names them.
-    pub files: Vec<Checksum>,
+    /// Of the image's file; `None` if there is none.
+    pub image: Option<Checksum>,
     /// Points whose blur is wider than two standard deviations of their line.
     pub blurred: u32,
     pub points: Vec<CloudPoint>,
@@ -98,7 +98,11 @@ impl Journal {
     ///
     /// Errors: another run writes there; with `resume`, frames of another scene,
     /// seed, range or version.
-    pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, Vec<Vec<Checksum>>)> {
+    pub fn open(
+        out: &Path,
+        key: &RunKey,
+        resume: bool,
+    ) -> Result<(Journal, Vec<Option<Checksum>>)> {
         let path = out.join("frames.journal");
         let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
         match file.try_lock() {
@@ -145,7 +149,7 @@ impl Journal {
     }
 
     /// Reads what there is of the run; how many bytes of the file are of use.
-    fn check(&self, key: &RunKey, kept: &mut Vec<Vec<Checksum>>) -> Result<u64> {
+    fn check(&self, key: &RunKey, kept: &mut Vec<Option<Checksum>>) -> Result<u64> {
         let failed = || Error::io("read", &self.path);
         let mut reader = self.reader().map_err(failed())?;
         let header = reader.next().map_err(failed())?;
@@ -166,7 +170,7 @@ impl Journal {
                 Ok(record)
                     if record.frame as u64 == expected && expected < key.frames.end as u64 =>
                 {
-                    kept.push(record.files)
+                    kept.push(record.image)
                 }
                 _ => break,
             }
@@ -342,12 +346,14 @@ mod tests {
             intensity: 200.5,
             frame,
             column: 9,
+            row: 31.25,
+            width: 1.5,
             flags: crate::profile::Flags::EDGE,
             normal: glam::Vec3::Z,
         };
         FrameRecord {
             frame,
-            files: vec![checksum(&frame.to_le_bytes())],
+            image: Some(checksum(&frame.to_le_bytes())),
             blurred: frame,
             points: vec![point; frame as usize],
         }
@@ -367,7 +373,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         written(folder.path());
         let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
-        assert_eq!(kept, [3, 4, 5].map(|f| record(f).files));
+        assert_eq!(kept, [3, 4, 5].map(|f| record(f).image));
         journal.append(&[record(6)]).unwrap();
         assert_eq!(journal.records().unwrap(), [3, 4, 5, 6].map(record));
     }
@@ -383,8 +389,8 @@ mod tests {
             let (journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
             drop(journal);
             assert!(kept.len() < 3 || bytes.starts_with(&whole));
-            for (i, files) in kept.iter().enumerate() {
-                assert_eq!(*files, record(3 + i as u32).files);
+            for (i, image) in kept.iter().enumerate() {
+                assert_eq!(*image, record(3 + i as u32).image);
             }
             // What is left is a journal that can be continued.
             let left = fs::read(&path).unwrap();

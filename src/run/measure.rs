@@ -183,6 +183,8 @@ impl Simulation {
                 intensity: peak.intensity,
                 frame,
                 column: peak.column,
+                row: peak.row,
+                width: peak.sigma,
                 flags: peak.flags,
                 normal: seen.as_vec3(),
             })

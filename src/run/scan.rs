@@ -20,7 +20,7 @@ use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::math::DVec3;
 use crate::plan::rules::Plan;
 use crate::report::chart::short;
-use crate::report::formats::Format;
+use crate::report::formats::{self, Format};
 use crate::report::ply;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -49,6 +49,9 @@ struct Manifest<'a> {
     seconds_report: f64,
 }
 
+/// Name of the profiles' file in the folder of a scan.
+const PROFILES: &str = "profiles.npy";
+
 /// What of a scan to run, and how.
 #[derive(Debug, Clone)]
 pub struct ScanOptions {
@@ -62,14 +65,14 @@ pub struct ScanOptions {
     pub geometry_only: bool,
     /// A scan that cannot give anything worth having is an error, before it starts.
     pub strict: bool,
-    /// Forms of the cloud and the profiles beside PLY and CSV.
+    /// Forms of the cloud beside PLY.
     pub also: Vec<Format>,
 }
 
-/// Runs the frames and writes `cloud.ply`, `profiles/`, `summary.json`,
+/// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`,
 /// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
 /// the scene asks for them. What an earlier run left there under these names goes
-/// first, but with `resume` the frames whose record and files are whole.
+/// first, but with `resume` the frames whose record and image are whole.
 ///
 /// While frames are taken, memory does not grow with their number; for the report
 /// all points are read back, some 100 bytes each.
@@ -177,7 +180,6 @@ pub fn scan_shard(
     let simulation = simulation_of(scene, options, control)?;
     files::create_folder(out)?;
     files::remove(&out.join("manifest.json"))?;
-    files::create_own_folder(&out.join("profiles"))?;
     if scene.write_frames {
         files::create_own_folder(&out.join("frames"))?;
     }
@@ -198,7 +200,7 @@ pub fn scan_shard(
 }
 
 /// Makes of the shards in a folder what the undivided scan gives, to the byte: checks every record, takes
-/// frames again whose files are damaged or lost, and writes cloud, report and summary.
+/// frames again whose images are damaged or lost, and writes cloud, report and summary.
 ///
 /// # Errors
 /// As [`scan`]; and `Error::Input` that names the shards that are missing or damaged.
@@ -214,10 +216,8 @@ pub fn merge(
         ..options.clone()
     };
     let summary = scan(scene, &options, out, control)?;
-    // What killed runs left of frames' files.
-    for folder in ["profiles", "frames"] {
-        files::remove_all(&out.join(folder), |name| name.ends_with(files::PART))?;
-    }
+    // What killed runs left.
+    files::remove_all(&out.join("frames"), |name| name.ends_with(files::PART))?;
     Ok(summary)
 }
 
@@ -245,16 +245,16 @@ fn refuse_worthless(
     warnings::refuse(&warnings, true)
 }
 
-/// Makes the folders for profiles and frames, free of an earlier run's files if this
+/// Makes the folder for frames, free of an earlier run's files if this
 /// one starts `anew`. The manifest goes first: from here on the run is not complete.
 fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
-    let (profiles, frames) = (out.join("profiles"), out.join("frames"));
-    files::create_own_folder(&profiles)?;
+    let frames = out.join("frames");
     for name in [
         "manifest.json",
         "summary.json",
         "report.html",
         "cloud.ply",
+        PROFILES,
         "frame.png",
         "cloud.png",
     ]
@@ -264,7 +264,6 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
         files::remove(&out.join(name))?;
     }
     if anew {
-        files::remove_all(&profiles, |name| name.starts_with("profile-"))?;
         files::remove_all(&frames, |name| name.starts_with("frame-"))?;
     }
     if scene.write_frames {
@@ -323,10 +322,12 @@ fn finish(
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
     files::write(&summary.cloud, |file| ply::write_ply(file, &points))?;
+    files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
     for format in &options.also {
         control.check()?;
-        let bytes = format.bytes(&points).map_err(Error::io("write", out))?;
-        files::write_bytes(&out.join(format.file_name()), &bytes)?;
+        files::write(&out.join(format.file_name()), |file| {
+            format.write(file, &points)
+        })?;
     }
     let shown = Shown {
         simulation,
