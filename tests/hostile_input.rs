@@ -299,9 +299,9 @@ fn cases() -> Vec<Case> {
             "a link in the place of a folder",
             SCAN,
             74,
-            "lasertrace: cannot create folder out/profiles: it is a symbolic link, and links in \
+            "lasertrace: cannot read folder out/frames: it is a symbolic link, and links in \
              an output folder are not followed; remove it",
-            |folder| linked(folder, "profiles"),
+            |folder| linked(folder, "frames"),
         ),
         case(
             "wave optics of a wide spot",

@@ -88,30 +88,36 @@ impl Run<'_> {
         })
     }
 
-    /// Takes the frames, some at a time, into the journal in their order. Of the ones
-    /// at hand when the run stops, those up to the first unfinished one are kept.
+    /// Takes the frames, some at a time, into the journal in their order, which is written while the next are
+    /// taken. Of the ones at hand when the run stops, those up to the first unfinished one are kept.
     pub fn frames(&self, mut left: impl Iterator<Item = u32>, journal: &mut Journal) -> Result<()> {
         let together = 8 * rayon::current_num_threads();
+        let mut finished: Vec<FrameRecord> = Vec::new();
         loop {
             let now: Vec<u32> = left.by_ref().take(together).collect();
-            if now.is_empty() {
+            let is_last = now.is_empty();
+            let (written, mut records) =
+                rayon::join(|| journal.append(&finished), || self.records(now));
+            written?;
+            if is_last {
                 return Ok(());
             }
-            let mut records: Vec<Result<FrameRecord>> = now
-                .into_par_iter()
-                .map(|frame| {
-                    let record = self.frame(frame)?;
-                    (self.control.progress)(1 + self.done.fetch_add(1, Ordering::Relaxed));
-                    Ok(record)
-                })
-                .collect();
             let stop = records.iter().position(Result::is_err);
             let after = records.split_off(stop.unwrap_or(records.len()));
-            let finished: Vec<FrameRecord> = records.into_iter().flatten().collect();
-            journal.append(&finished)?;
+            finished = records.into_iter().flatten().collect();
             if let Some(Err(error)) = after.into_iter().next() {
+                journal.append(&finished)?;
                 return Err(error);
             }
         }
+    }
+
+    fn records(&self, frames: Vec<u32>) -> Vec<Result<FrameRecord>> {
+        let records = frames.into_par_iter().map(|frame| {
+            let record = self.frame(frame)?;
+            (self.control.progress)(1 + self.done.fetch_add(1, Ordering::Relaxed));
+            Ok(record)
+        });
+        records.collect()
     }
 }
