@@ -5,6 +5,7 @@ mod calibrate;
 mod chart;
 mod check;
 mod complaint;
+mod dataset;
 mod manual;
 mod merge;
 mod peaks;
@@ -61,6 +62,8 @@ enum Command {
     Scan(scan::Arguments),
     /// Make one scan of its shards' frames (scan --shard)
     Merge(merge::Arguments),
+    /// Make a data set for learning: frames with values drawn anew for each, with their truth
+    Dataset(dataset::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
     /// Chart accuracy against speed: each combination of methods, on frames of the scene
@@ -263,6 +266,7 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),
         Command::Merge(arguments) => merge::run(arguments, &output),
+        Command::Dataset(arguments) => dataset::run(arguments, &output),
         Command::Calibrate(arguments) => calibrate::run(arguments, &output),
         Command::Chart(arguments) => chart::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),

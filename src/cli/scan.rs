@@ -75,7 +75,7 @@ const ARRAYS: [&str; 3] = [
     "AWS_BATCH_JOB_ARRAY_INDEX",
 ];
 
-fn shard(text: &str) -> std::result::Result<Shard, String> {
+pub fn shard(text: &str) -> std::result::Result<Shard, String> {
     let expected = "expected I/N with I below N, as 3/8, or auto/N";
     let (shard, of) = text.split_once('/').ok_or(expected)?;
     let of = of.parse::<u32>().map_err(|_| expected)?;

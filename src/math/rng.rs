@@ -17,6 +17,8 @@ pub enum Purpose {
     Bootstrap = 4,
     /// Errors of a calibration's observations.
     Calibration = 7,
+    /// Values of the samples of a data set.
+    Samples = 8,
     /// Rays of `bench-bvh`.
     RaceRays = 16,
     /// What each box of the tree in Rust is widened by.

@@ -143,8 +143,7 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
     Ok(file.into_inner())
 }
 
-/// The profiles of all frames: a structured array of NumPy's, version 1.0 of the format (NumPy enhancement
-/// proposal 1), whose header is padded to a multiple of 64 bytes.
+/// The profiles of all frames: a structured array of NumPy's.
 pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     let fields = [
         ("frame", "<u4"),
@@ -161,19 +160,7 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         ("flags", "<u2"),
     ];
     let fields = fields.map(|(name, kind)| format!("('{name}', '{kind}')"));
-    let mut header = format!(
-        "{{'descr': [{}], 'fortran_order': False, 'shape': ({},), }}",
-        fields.join(", "),
-        points.len()
-    );
-    const PREFIX: usize = 10;
-    while !(PREFIX + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
-    out.write_all(b"\x93NUMPY\x01\x00")?;
-    out.write_all(&(header.len() as u16).to_le_bytes())?;
-    out.write_all(header.as_bytes())?;
+    npy_header(out, &format!("[{}]", fields.join(", ")), &[points.len()])?;
     for p in points {
         out.write_all(&p.frame.to_le_bytes())?;
         out.write_all(&p.column.to_le_bytes())?;
@@ -194,6 +181,22 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         out.write_all(&p.flags.bits().to_le_bytes())?;
     }
     Ok(())
+}
+
+/// What stands before the values of an array of NumPy's with elements of this type: version 1.0 of the
+/// format (NumPy enhancement proposal 1), padded to a multiple of 64 bytes.
+pub fn npy_header(out: &mut impl Write, kind: &str, shape: &[usize]) -> io::Result<()> {
+    let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let shape = shape.trim_end();
+    let mut header = format!("{{'descr': {kind}, 'fortran_order': False, 'shape': ({shape}), }}");
+    const PREFIX: usize = 10;
+    while !(PREFIX + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    out.write_all(b"\x93NUMPY\x01\x00")?;
+    out.write_all(&(header.len() as u16).to_le_bytes())?;
+    out.write_all(header.as_bytes())
 }
 
 #[cfg(test)]

@@ -95,20 +95,44 @@ fn replace(
     part: &str,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
+    in_place_of(path, part, |out| {
+        content(out).map_err(Error::io("write", path))
+    })
+}
+
+/// As [`write`], of content that may fail to come about; `part` as for [`write_checked_later`].
+pub fn write_in_steps<T>(
+    path: &Path,
+    part: &str,
+    content: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
+) -> Result<T> {
+    in_place_of(path, part, |out| {
+        let done = content(out)?;
+        let synced = out.flush().and_then(|()| out.get_ref().sync_data());
+        synced.map_err(Error::io("write", path))?;
+        Ok(done)
+    })
+}
+
+fn in_place_of<T>(
+    path: &Path,
+    part: &str,
+    content: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
+) -> Result<T> {
+    let failed = || Error::io("write", path);
     let part = unfinished(path, part);
-    let written = create_new(&part).and_then(|file| {
-        let mut out = BufWriter::with_capacity(1 << 18, file);
-        content(&mut out)?;
-        out.flush()
+    let file = create_new(&part).map_err(failed())?;
+    let mut out = BufWriter::with_capacity(1 << 18, file);
+    let written = content(&mut out).and_then(|done| {
+        out.flush().map_err(failed())?;
+        std::fs::rename(&part, path).map_err(failed())?;
+        Ok(done)
     });
-    match written.and_then(|()| fs::rename(&part, path)) {
-        Ok(()) => Ok(()),
-        Err(error) => {
-            // Best effort: the first error is the one to report.
-            let _ = fs::remove_file(&part);
-            Err(Error::io("write", path)(error))
-        }
+    if written.is_err() {
+        // Best effort: the first error is the one to report.
+        let _ = fs::remove_file(&part);
     }
+    written
 }
 
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {

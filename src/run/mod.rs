@@ -3,6 +3,7 @@
 
 mod check;
 mod control;
+mod dataset;
 pub(crate) mod error_model;
 pub(crate) mod files;
 pub(crate) mod forecast;
@@ -31,6 +32,7 @@ mod warnings;
 pub use check::{Checked, check};
 pub use control::{Control, Coverage};
 pub(crate) use control::{check_frame, check_frames};
+pub use dataset::{DatasetSummary, dataset, dataset_samples};
 pub use forecast::Forecast;
 pub use height_errors::HeightErrors;
 pub use ready::scene_plan;

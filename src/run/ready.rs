@@ -75,6 +75,13 @@ impl Simulation {
         Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))
     }
 
+    /// One of another scene with the same part, whose hierarchy is shared.
+    pub(crate) fn of_same_part(&self, scene: &Scene) -> Result<Simulation> {
+        let plan = scene_plan_with(scene, &self.accel)?;
+        let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
+        Ok(other.with_clusters_of(self))
+    }
+
     /// One that traces every sample, to the same bytes.
     #[doc(hidden)]
     pub fn exhaustive(scene: &Scene) -> Result<Simulation> {

@@ -86,10 +86,15 @@ impl Simulation {
         } else {
             Simulation::with_plan(&self.scene, self.accel.clone(), plan)?
         };
-        Ok(Simulation {
-            clusters: self.clusters.clone(),
-            ..other
-        })
+        Ok(other.with_clusters_of(self))
+    }
+
+    /// The same, tracing what another of the same part traces.
+    pub(crate) fn with_clusters_of(self, other: &Simulation) -> Simulation {
+        Simulation {
+            clusters: other.clusters.clone(),
+            ..self
+        }
     }
 
     fn with_patterns(

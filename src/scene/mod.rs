@@ -12,9 +12,12 @@ mod resolve;
 mod resolver;
 mod surface;
 mod unit;
+mod values;
 
 pub use file::{Moves, PlanTable, SceneFile, schema};
 pub use path::{Motion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};
 pub use unit::Unit;
+#[doc(hidden)]
+pub use values::set as set_value;

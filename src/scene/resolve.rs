@@ -115,7 +115,7 @@ impl Scene {
     /// The same; `watch` hears how much of the mesh is read.
     #[doc(hidden)]
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
-        Scene::resolved(Source::read(path)?, path, watch)
+        Scene::resolved(Source::read(path)?, path, watch, None)
     }
 
     /// The same of a scene given as text (TOML), whose files are sought in `folder`.
@@ -138,10 +138,16 @@ impl Scene {
     pub fn parse(text: &str, folder: &Path) -> Result<Scene> {
         let path = folder.join("scene text");
         let source = Source::parse(&path, text.to_owned())?;
-        Scene::resolved(source, &path, &|_| Ok(()))
+        Scene::resolved(source, &path, &|_| Ok(()), None)
     }
 
-    fn resolved(source: Source, path: &Path, watch: &Watch) -> Result<Scene> {
+    /// The scene of another text with the same part, whose mesh and copies are shared and not read again.
+    pub(crate) fn of_same_part(&self, text: String) -> Result<Scene> {
+        let source = Source::parse(&self.path, text)?;
+        Scene::resolved(source, &self.path, &|_| Ok(()), Some(self))
+    }
+
+    fn resolved(source: Source, path: &Path, watch: &Watch, like: Option<&Scene>) -> Result<Scene> {
         let file: SceneFile =
             toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
         let resolver = Resolver {
@@ -149,7 +155,7 @@ impl Scene {
             path,
             watch,
         };
-        resolver.scene(file)
+        resolver.scene(file, like)
     }
 
     /// A box around the part, in its frame.
@@ -189,20 +195,21 @@ fn number<S: serde::Serializer>(
 }
 
 impl Resolver<'_> {
-    fn scene(self, file: SceneFile) -> Result<Scene> {
-        let (mesh, mesh_hash, mesh_unit) = self.mesh(&file.part)?;
+    /// `like` is a scene with the same part.
+    fn scene(self, file: SceneFile, like: Option<&Scene>) -> Result<Scene> {
+        let (mesh, mesh_hash, mesh_unit) = match like {
+            Some(scene) => (scene.mesh.clone(), Vec::from(&*scene.hash), scene.mesh_unit),
+            None => {
+                let (mesh, hash, unit) = self.mesh(&file.part)?;
+                (Arc::new(mesh), hash, unit)
+            }
+        };
         let chord = match file.part.mesh.as_ref().and_then(|table| table.chord_um) {
             Some(chord_um) => self.positive(chord_um, "part.mesh.chord_um")? * 1e-3,
             None => 0.0,
         };
         let part = file.part.in_words();
-        let (copies, copies_hash) = match &file.part.copies {
-            None => (vec![Rigid::IDENTITY], Vec::new()),
-            Some(file) => {
-                let (_, poses, hash) = self.poses(file, "part.copies")?;
-                (poses, hash)
-            }
-        };
+        let (copies, copies_hash) = self.copies(&file.part, like)?;
         let surface = self.surface(&file.part, file.laser.wavelength_nm)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
         let camera = self.camera(&file.camera)?;
@@ -238,10 +245,10 @@ impl Resolver<'_> {
             tolerance_um: self.tolerance(&file.accuracy)?,
             methods,
             part,
-            mesh: Arc::new(mesh),
+            mesh,
             mesh_unit,
             chord,
-            copies: copies.into(),
+            copies,
             surface,
             part_at_rest,
             laser,
@@ -256,6 +263,18 @@ impl Resolver<'_> {
             scan,
             calibration,
         })
+    }
+
+    /// Where the copies of the mesh stand, and the hash of the file that says so.
+    fn copies(&self, part: &PartTable, like: Option<&Scene>) -> Result<(Arc<[Rigid]>, Vec<u8>)> {
+        match (like, &part.copies) {
+            (Some(scene), _) => Ok((scene.copies.clone(), Vec::new())),
+            (None, None) => Ok((vec![Rigid::IDENTITY].into(), Vec::new())),
+            (None, Some(file)) => {
+                let (_, poses, hash) = self.poses(file, "part.copies")?;
+                Ok((poses.into(), hash))
+            }
+        }
     }
 
     fn part_at_rest(&self, part: &PartTable) -> Result<Rigid> {

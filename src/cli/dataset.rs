@@ -1,0 +1,45 @@
+use super::{Output, STOP, scan, show};
+use crate::error::Result;
+use crate::error::printable::path;
+use crate::run::{self, Control, Shard};
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recipe (TOML): a scene, a number of samples, and what of the scene is drawn anew for each
+    recipe: PathBuf,
+    /// Make the tar files I, I + N, … alone, into a folder that all N shards share. auto/N: I is the number
+    /// that Slurm, Kubernetes or AWS Batch gives a job of an array
+    #[arg(long, value_name = "I/N", value_parser = scan::shard, default_value = "0/1")]
+    shard: Shard,
+    /// Folder to write to; tar files that are there are kept
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let Arguments {
+        recipe,
+        shard,
+        output: out,
+    } = arguments;
+    let bar = output.progress(run::dataset_samples(&recipe, shard)?, "samples");
+    let building = output.share("of the hierarchy built");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        building: Some(&|share| show(&building, share)),
+        stop: &STOP,
+    };
+    let done = run::dataset(&recipe, shard, &out, &control);
+    bar.finish_and_clear();
+    let done = done?;
+    let all = match &done.index {
+        Some(index) => format!("the set is whole: {}", path(index)),
+        None => "other shards are not there yet; the last to end writes index.json".to_owned(),
+    };
+    let text = format!(
+        "job {}: {} tar files, {} of them made now\n{all}",
+        done.job, done.files, done.files_made
+    );
+    output.result(&done, &text)
+}

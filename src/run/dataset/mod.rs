@@ -1,0 +1,267 @@
+//! Data sets for learning: frames of a scene whose values are drawn anew for each, with their truth, in
+//! tar files of so many samples each.
+//!
+//! A tar file appears whole or not at all, and then its index beside it; what lies in the folder says what is
+//! left to do, so a set may be made in shards, on several machines, and go on after a kill. Bytes
+//! depend on the recipe and the scene alone.
+
+mod recipe;
+mod sample;
+
+use super::journal::checksum;
+use super::shards::{Shard, unfinished};
+use super::{Control, Coverage, files, need, ready};
+use crate::error::{Error, Result};
+use crate::scene::Scene;
+use rayon::prelude::*;
+use recipe::Recipe;
+use sample::Set;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// `samples-NNNNNN.json`: what one tar file holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct TarIndex {
+    job: String,
+    file: String,
+    samples: Range<u64>,
+    bytes: u64,
+    sha256: String,
+}
+
+/// `index.json`: the whole set.
+#[derive(Serialize)]
+struct SetIndex<'a> {
+    program: &'static str,
+    version: &'static str,
+    job: &'a str,
+    samples: u64,
+    files: Vec<TarIndex>,
+}
+
+/// What a run of `dataset` has done.
+#[derive(Debug, Serialize)]
+pub struct DatasetSummary {
+    /// Of recipe, scene, part, version and numerics: all shards have the same.
+    pub job: String,
+    /// Tar files of this shard.
+    pub files: u64,
+    /// Those that were made now.
+    pub files_made: u64,
+    /// The set's index, if all files of all shards are there.
+    pub index: Option<PathBuf>,
+}
+
+/// Makes those tar files of a set into `out` that are a shard's and not there yet, and the set's index
+/// once all are there. Memory does not grow with the number of samples.
+///
+/// Errors: a mistake in recipe or scene, also of a value at the ends of what is drawn; files
+/// of another recipe in `out`; too little memory or disk.
+pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Result<DatasetSummary> {
+    let recipe = Recipe::read(path)?;
+    let scene = Scene::load_watched(&recipe.scene, &|_| control.check())?;
+    let text = std::fs::read_to_string(&recipe.scene).map_err(Error::io("read", &recipe.scene))?;
+    need::require_images(&scene, rayon::current_num_threads() as u64)?;
+    let job = job(&recipe, &scene);
+    let files = recipe.samples.div_ceil(recipe.samples_per_file);
+    let set = Set {
+        text: toml::Value::Table(text.parse().expect("the scene was read from it")),
+        base: ready::simulation(&scene, Coverage::Footprint, control)?,
+        recipe: &recipe,
+    };
+    for (values, end) in recipe.ends().iter().zip(["lower", "upper"]) {
+        set.scene(values, 0, &format!("at the {end} ends of [draw]"))?;
+    }
+    files::create_folder(out)?;
+    let own = (u64::from(shard.shard)..files).step_by(shard.of as usize);
+    let (mut done, mut made) = (0, 0);
+    for file in own.clone() {
+        let samples = file * recipe.samples_per_file
+            ..((file + 1) * recipe.samples_per_file).min(recipe.samples);
+        let count = samples.end - samples.start;
+        if whole(out, file, &job)?.is_none() {
+            make(
+                &set,
+                file,
+                samples,
+                &job,
+                out,
+                &|n| (control.progress)(done + n),
+                control,
+            )?;
+            made += 1;
+        }
+        done += count;
+        (control.progress)(done);
+    }
+    Ok(DatasetSummary {
+        files: own.count() as u64,
+        files_made: made,
+        index: index(&recipe, files, &job, out)?,
+        job,
+    })
+}
+
+/// How many samples a shard of a recipe has, for a progress bar.
+pub fn dataset_samples(path: &Path, shard: Shard) -> Result<u64> {
+    let recipe = Recipe::read(path)?;
+    let files = recipe.samples.div_ceil(recipe.samples_per_file);
+    let own = (u64::from(shard.shard)..files).step_by(shard.of as usize);
+    let count = |file: u64| {
+        recipe
+            .samples_per_file
+            .min(recipe.samples - file * recipe.samples_per_file)
+    };
+    Ok(own.map(count).sum())
+}
+
+fn job(recipe: &Recipe, scene: &Scene) -> String {
+    let parts = [
+        env!("CARGO_PKG_VERSION"),
+        &scene.accel.version(),
+        &recipe.text,
+        &scene.hash,
+    ];
+    let sum = checksum(parts.join("\n").as_bytes());
+    sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn name(file: u64) -> String {
+    format!("samples-{file:06}.tar")
+}
+
+/// The index of a tar file that is there. Errors: it is of another set.
+fn whole(out: &Path, file: u64, job: &str) -> Result<Option<TarIndex>> {
+    let tar = out.join(name(file));
+    let index = std::fs::read(tar.with_extension("json")).ok();
+    let index = index.and_then(|bytes| serde_json::from_slice::<TarIndex>(&bytes).ok());
+    let length = std::fs::metadata(&tar).map(|tar| tar.len()).ok();
+    let Some(index) = index.filter(|index| length == Some(index.bytes)) else {
+        return Ok(None);
+    };
+    if index.job != job {
+        return Err(Error::OtherRun {
+            journal: tar.with_extension("json"),
+            difference: "recipe, scene, a file it names or the version has changed".to_owned(),
+        });
+    }
+    Ok(Some(index))
+}
+
+/// Makes one tar file and its index.
+fn make(
+    set: &Set,
+    file: u64,
+    samples: Range<u64>,
+    job: &str,
+    out: &Path,
+    progress: &(dyn Fn(u64) + Sync),
+    control: &Control,
+) -> Result<()> {
+    let path = out.join(name(file));
+    // A stale index must not speak for a new file.
+    files::remove(&path.with_extension("json"))?;
+    let (bytes, sha256) = files::write_in_steps(&path, &unfinished(), |file| {
+        let mut tar = tar::Builder::new(Summed::new(file));
+        let first = samples.start;
+        let together = 4 * rayon::current_num_threads() as u64;
+        for start in samples.clone().step_by(together as usize) {
+            control.check()?;
+            let some: Vec<u64> = (start..samples.end.min(start + together)).collect();
+            let made = some.par_iter().map(|&k| {
+                control.check()?;
+                set.sample(k)
+            });
+            for (k, parts) in some.iter().zip(made.collect::<Result<Vec<_>>>()?) {
+                for (ending, content) in parts {
+                    append(&mut tar, &format!("{k:09}.{ending}"), &content)
+                        .map_err(Error::io("write", &path))?;
+                }
+                progress(k + 1 - first);
+            }
+        }
+        let summed = tar.into_inner().map_err(Error::io("write", &path))?;
+        Ok((summed.bytes, summed.hash.finalize()))
+    })?;
+    let index = TarIndex {
+        job: job.to_owned(),
+        file: name(file),
+        samples,
+        bytes,
+        sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
+    };
+    write_json(&path.with_extension("json"), &index)
+}
+
+/// Several runs may write it at the same time.
+fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    files::write_in_steps(path, &unfinished(), |file| {
+        serde_json::to_writer_pretty(&mut *file, value)
+            .map_err(|error| Error::io("write", path)(error.into()))
+    })
+}
+
+/// The same bytes whenever and by whomever it is written.
+fn append<W: Write>(tar: &mut tar::Builder<W>, name: &str, content: &[u8]) -> io::Result<()> {
+    let mut header = tar::Header::new_ustar();
+    header.set_size(content.len() as u64);
+    header.set_mode(0o644);
+    tar.append_data(&mut header, name, content)
+}
+
+/// Writes the set's index if all its files are there.
+fn index(recipe: &Recipe, files: u64, job: &str, out: &Path) -> Result<Option<PathBuf>> {
+    let mut found = Vec::new();
+    for file in 0..files {
+        match whole(out, file, job)? {
+            Some(index) => found.push(index),
+            None => return Ok(None),
+        }
+    }
+    let path = out.join("index.json");
+    let set = SetIndex {
+        program: env!("CARGO_PKG_NAME"),
+        version: env!("CARGO_PKG_VERSION"),
+        job,
+        samples: recipe.samples,
+        files: found,
+    };
+    write_json(&path, &set)?;
+    // What killed runs left.
+    files::remove_all(out, |name| name.ends_with(files::PART))?;
+    Ok(Some(path))
+}
+
+/// Counts and sums what is written.
+struct Summed<'a> {
+    file: &'a mut BufWriter<File>,
+    bytes: u64,
+    hash: Sha256,
+}
+
+impl<'a> Summed<'a> {
+    fn new(file: &'a mut BufWriter<File>) -> Summed<'a> {
+        Summed {
+            file,
+            bytes: 0,
+            hash: Sha256::new(),
+        }
+    }
+}
+
+impl Write for Summed<'_> {
+    fn write(&mut self, content: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(content)?;
+        self.hash.update(&content[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}

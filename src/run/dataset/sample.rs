@@ -1,0 +1,145 @@
+//! One sample of a data set: an image and all that is true of it, as files.
+
+use super::recipe::{Recipe, Values};
+use crate::error::{Error, Place, Result};
+use crate::frame::Sheet;
+use crate::math::Rigid;
+use crate::report::formats::{npy, npy_header};
+use crate::report::picture::encode_counts;
+use crate::run::error_model::camera_from_laser;
+use crate::run::simulation::Simulation;
+use crate::scene::Scene;
+use serde::Serialize;
+use std::io::{self, Cursor, Write};
+use toml::Value;
+use zip::write::SimpleFileOptions;
+
+/// What the samples of a set share.
+pub struct Set<'a> {
+    pub recipe: &'a Recipe,
+    /// The scene's text.
+    pub text: Value,
+    pub base: Simulation,
+}
+
+/// `NNNNNN.json` of a sample.
+#[derive(Serialize)]
+struct Described<'a> {
+    sample: u64,
+    frame: u32,
+    seed: u64,
+    values: &'a Values,
+    /// Three rows of four: where points of the camera's frame lie in the part's, mm.
+    part_from_camera: [[f64; 4]; 3],
+    part_from_laser: [[f64; 4]; 3],
+}
+
+impl Set<'_> {
+    /// The scene with these values. Errors: the scene cannot have them.
+    pub fn scene(&self, values: &Values, seed: u64, sample: &str) -> Result<Scene> {
+        let text = self.recipe.text_with(&self.text, values, seed)?;
+        self.base
+            .scene
+            .of_same_part(text)
+            .map_err(|error| match error {
+                Error::Input(mut mistake) => {
+                    mistake.file = self.recipe.path.clone();
+                    mistake.place = Place::File;
+                    mistake.found += &format!(" {sample}");
+                    Error::Input(mistake)
+                }
+                other => other,
+            })
+    }
+
+    /// The files of a sample: endings and contents. They depend on recipe, scene and number alone.
+    pub fn sample(&self, sample: u64) -> Result<Vec<(&'static str, Vec<u8>)>> {
+        let (values, seed) = (self.recipe.values(sample), self.recipe.seed(sample));
+        let scene = self.scene(&values, seed, &format!("in sample {sample}"))?;
+        let simulation = self.base.of_same_part(&scene)?;
+        let frame = self.recipe.frame(sample, scene.scan.frames);
+        let image = simulation.image(frame);
+        let (_, points) = simulation.measure(frame, &image);
+        let view = simulation.view(frame);
+        let described = Described {
+            sample,
+            frame,
+            seed,
+            values: &values,
+            part_from_camera: rows(&view.part_from_camera),
+            part_from_laser: rows(&view.part_from_laser),
+        };
+        let text = self.recipe.text_with(&self.text, &values, seed)?;
+        // Memory takes no disk, so nothing fails here.
+        let truth = truth(&simulation, frame, |out| npy(out, &points))
+            .map_err(Error::io("write the truth of", &self.recipe.path))?;
+        Ok(vec![
+            (
+                "json",
+                serde_json::to_vec(&described).expect("a sample is JSON"),
+            ),
+            ("npz", truth),
+            ("png", encode_counts(&image)),
+            ("toml", text.into_bytes()),
+        ])
+    }
+}
+
+/// What is true of a frame, as NumPy's `load` reads it.
+fn truth(
+    simulation: &Simulation,
+    frame: u32,
+    points: impl FnOnce(&mut Vec<u8>) -> io::Result<()>,
+) -> io::Result<Vec<u8>> {
+    let scene = &simulation.scene;
+    let [columns, rows] = scene
+        .camera
+        .sensor
+        .resolution
+        .to_array()
+        .map(|n| n as usize);
+    let layers = simulation.truth(frame);
+    let mut depth = Vec::new();
+    npy_header(&mut depth, "'<f4'", &[rows, columns])?;
+    depth.extend(layers.depth.iter().flat_map(|z| z.to_le_bytes()));
+    let mut normal = Vec::new();
+    npy_header(&mut normal, "'<f4'", &[rows, columns, 3])?;
+    normal.extend(layers.normal.iter().flatten().flat_map(|x| x.to_le_bytes()));
+    let mut line = Vec::new();
+    let found = scene.laser.fan.as_ref().map_or(Vec::new(), |fan| {
+        let sheet = Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
+        sheet.profile(&simulation.view(frame))
+    });
+    let fields = "[('column', '<u4'), ('row_px', '<f8')]";
+    npy_header(&mut line, fields, &[found.len()])?;
+    for point in found {
+        line.extend(point.column.to_le_bytes());
+        line.extend(point.row.to_le_bytes());
+    }
+    let mut measured = Vec::new();
+    points(&mut measured)?;
+
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    // The fastest: depth hardly becomes smaller by more work. Without a time, so that bytes are the same.
+    let options = SimpleFileOptions::default()
+        .compression_level(Some(1))
+        .last_modified_time(zip::DateTime::default());
+    for (name, content) in [
+        ("depth.npy", depth),
+        ("line.npy", line),
+        ("normal.npy", normal),
+        ("points.npy", measured),
+    ] {
+        archive.start_file(name, options)?;
+        archive.write_all(&content)?;
+    }
+    Ok(archive.finish()?.into_inner())
+}
+
+fn rows(pose: &Rigid) -> [[f64; 4]; 3] {
+    let (turn, t) = (pose.rotation, pose.translation.to_array());
+    [0, 1, 2].map(|i| {
+        let [x, y, z] = turn.row(i).to_array();
+        [x, y, z, t[i]]
+    })
+}

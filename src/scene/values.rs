@@ -1,0 +1,52 @@
+//! Values of a scene set by dotted key.
+
+use toml::{Table, Value};
+
+/// Sets what stands at a dotted key, with a number for an element of a list
+/// ("camera.resolution_px.0"); `None` takes it out. Errors: what cannot be set, in words.
+pub fn set(root: &mut Value, key: &str, new: Option<Value>) -> Result<(), String> {
+    let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
+    let mut inside = root;
+    let mut passed = String::new();
+    for part in tables.split('.').filter(|_| !tables.is_empty()) {
+        inside = match inside {
+            Value::Table(table) => table
+                .entry(part)
+                .or_insert_with(|| Value::Table(Table::new())),
+            Value::Array(list) => element(list, part, key)?,
+            other => return Err(no_table(key, &passed, other)),
+        };
+        passed = part.to_owned();
+    }
+    match (inside, new) {
+        (Value::Table(table), Some(new)) => {
+            table.insert(name.to_owned(), new);
+        }
+        (Value::Table(table), None) => {
+            if table.remove(name).is_none() {
+                return Err(format!(
+                    "{key}: found None, which takes a key out, but the scene does not have it"
+                ));
+            }
+        }
+        (Value::Array(list), Some(new)) => *element(list, name, key)? = new,
+        (Value::Array(_), None) => {
+            return Err(format!("{key}: found None, expected a value for the list"));
+        }
+        (other, _) => return Err(no_table(key, &passed, other)),
+    }
+    Ok(())
+}
+
+fn element<'a>(list: &'a mut [Value], part: &str, key: &str) -> Result<&'a mut Value, String> {
+    let count = list.len();
+    let found = part.parse().ok().and_then(|i: usize| list.get_mut(i));
+    found.ok_or_else(|| {
+        format!("{key}: found {part:?}, expected a whole number below {count}, the list's length")
+    })
+}
+
+fn no_table(key: &str, passed: &str, value: &Value) -> String {
+    let kind = value.type_str();
+    format!("{key}: {passed} is a value ({kind}), expected a table or a list")
+}

@@ -1,0 +1,166 @@
+//! Data sets: the same bytes for any number of threads, shards and kills; the truth in them is true.
+
+#![cfg(unix)]
+
+mod program;
+
+use program::{PLANE, folder_with, run, scene};
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{Cursor, Read};
+use std::path::Path;
+use tempfile::TempDir;
+
+const RECIPE: &str = r#"scene = "scene.toml"
+samples = 11
+samples_per_file = 3
+seed = 5
+[draw]
+"camera.f_number" = { from = 6, to = 11, scale = "log" }
+"laser.power_mw" = { from = 1, to = 2 }
+"part.position_mm" = { from = [-1, -1, -1], to = [1, 1, 1] }
+"#;
+
+fn set_folder(recipe: &str) -> TempDir {
+    let folder = folder_with(&scene(PLANE).replace("speckle = false", "speckle = true"));
+    fs::write(folder.path().join("set.toml"), recipe).unwrap();
+    folder
+}
+
+fn made(folder: &Path, more: &[&str]) -> (i32, String, String) {
+    run(
+        folder,
+        &[&["dataset", "set.toml", "-o", "out"], more].concat(),
+    )
+}
+
+fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = fs::read_dir(folder.join("out")).unwrap();
+    let files = entries.map(|entry| entry.unwrap().path());
+    let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
+    files
+        .map(|path| (name(&path), fs::read(&path).unwrap()))
+        .collect()
+}
+
+#[test]
+fn threads_shards_and_losses_change_no_byte() {
+    let whole = set_folder(RECIPE);
+    let (code, said, stderr) = made(whole.path(), &["--threads", "1"]);
+    assert!(code == 0 && said.contains("the set is whole"), "{stderr}");
+    let expected = contents(whole.path());
+    assert_eq!(expected.len(), 4 * 2 + 1, "{:?}", expected.keys());
+
+    let folder = set_folder(RECIPE);
+    for shard in ["1/2", "0/2"] {
+        let (code, said, stderr) = made(folder.path(), &["--shard", shard, "--threads", "2"]);
+        assert_eq!(code, 0, "{stderr}");
+        assert_eq!(said.contains("the set is whole"), shard == "0/2");
+    }
+    assert!(contents(folder.path()) == expected);
+    // A kill leaves an unfinished file; a file is cut, another lost.
+    let out = folder.path().join("out");
+    fs::write(out.join("samples-000003.tar.1f.part"), "cut").unwrap();
+    fs::write(out.join("samples-000001.tar"), "cut").unwrap();
+    fs::remove_file(out.join("samples-000002.tar")).unwrap();
+    let (_, said, _) = made(folder.path(), &[]);
+    assert!(said.contains("2 of them made now"), "{said}");
+    assert!(contents(folder.path()) == expected);
+    // Another recipe's files are not mixed with these.
+    fs::write(
+        folder.path().join("set.toml"),
+        RECIPE.replace("to = 2 }", "to = 3 }"),
+    )
+    .unwrap();
+    let (code, _, stderr) = made(folder.path(), &[]);
+    assert!(
+        code == 64 && stderr.contains("is of another run"),
+        "{stderr}"
+    );
+}
+
+/// The files in a tar, by name.
+fn unpacked(tar: &[u8]) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    for entry in tar::Archive::new(tar).entries().unwrap() {
+        let mut entry = entry.unwrap();
+        let path = entry.path().unwrap().to_str().unwrap().to_owned();
+        let mut content = Vec::new();
+        entry.read_to_end(&mut content).unwrap();
+        files.insert(path, content);
+    }
+    files
+}
+
+#[test]
+fn a_sample_is_rendered_again_from_its_own_scene() {
+    let folder = set_folder(RECIPE);
+    assert_eq!(made(folder.path(), &["--shard", "1/4"]).0, 0);
+    let files = unpacked(&contents(folder.path())["samples-000001.tar"]);
+    assert_eq!(files.len(), 3 * 4, "{:?}", files.keys());
+    let about: serde_json::Value = serde_json::from_slice(&files["000000004.json"]).unwrap();
+    fs::write(folder.path().join("one.toml"), &files["000000004.toml"]).unwrap();
+    let frame = about["frame"].to_string();
+    let (code, _, stderr) = run(
+        folder.path(),
+        &["render", "one.toml", "--frame", &frame, "-o", "one"],
+    );
+    assert_eq!(code, 0, "{stderr}");
+    let image = fs::read(folder.path().join(format!("one/frame-{frame:0>6}.png"))).unwrap();
+    assert!(image == files["000000004.png"]);
+}
+
+/// The numbers of an array of NumPy's, after its header.
+fn values(npy: &[u8]) -> &[u8] {
+    &npy[10 + u16::from_le_bytes([npy[8], npy[9]]) as usize..]
+}
+
+/// On a plane, without noise, speckle and blur, the line's centre of light in each column is where the
+/// truth says, by less than 0.01 px. Counts are rounded: half a count in each of ten pixels moves the centre of
+/// 5000 counts by 0.003 px at most.
+#[test]
+fn the_line_in_a_set_is_where_the_light_is() {
+    let folder = set_folder(RECIPE);
+    let text = scene(PLANE) + "[plan]\nblur = \"none\"\nnoise = false\n";
+    let text = text.replace("gain_dn_per_e = 0.02", "gain_dn_per_e = 1");
+    let text = text.replace("bit_depth = 10", "bit_depth = 16");
+    fs::write(folder.path().join("scene.toml"), text).unwrap();
+    let (code, _, stderr) = made(folder.path(), &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let mut compared = 0;
+    for (name, bytes) in contents(folder.path()) {
+        if !name.ends_with(".tar") {
+            continue;
+        }
+        let files = unpacked(&bytes);
+        for (name, png) in files.iter().filter(|(name, _)| name.ends_with(".png")) {
+            let image = image::load_from_memory(png).unwrap().to_luma16();
+            let npz = &files[&name.replace(".png", ".npz")];
+            let mut npz = zip::ZipArchive::new(Cursor::new(npz)).unwrap();
+            let mut line = Vec::new();
+            npz.by_name("line.npy")
+                .unwrap()
+                .read_to_end(&mut line)
+                .unwrap();
+            for point in values(&line).chunks_exact(12) {
+                let column = u32::from_le_bytes(point[..4].try_into().unwrap());
+                let row = f64::from_le_bytes(point[4..].try_into().unwrap());
+                let (mut sum, mut moment) = (0.0, 0.0);
+                for y in 0..image.height() {
+                    let counts = f64::from(image.get_pixel(column, y).0[0]) - 8.0;
+                    sum += counts;
+                    moment += counts * (f64::from(y) + 0.5);
+                }
+                if sum > 5000.0 {
+                    assert!(
+                        (moment / sum - row).abs() < 0.01,
+                        "{name}, column {column}: {} {row}",
+                        moment / sum
+                    );
+                    compared += 1;
+                }
+            }
+        }
+    }
+    assert!(compared > 100, "{compared}");
+}
