@@ -33,8 +33,17 @@ struct InFile<'a> {
 pub struct Complaints {
     /// For programs too.
     pub json: bool,
-    /// The command can go on where it was interrupted.
-    pub resumable: bool,
+    pub again: Again,
+}
+
+/// What the same command does when it runs again after it was interrupted.
+#[derive(Clone, Copy)]
+pub enum Again {
+    StartsAnew,
+    /// It goes on with `--resume`.
+    Resumes,
+    /// It goes on by itself.
+    GoesOn,
 }
 
 impl Complaints {
@@ -46,14 +55,18 @@ impl Complaints {
         let interrupted = matches!(error, Error::Interrupted);
         let when = if full { "when there is room, " } else { "" };
         let other = matches!(error, Error::OtherRun { .. });
-        let next = match self.resumable {
-            _ if other => "without --resume the scan starts anew and replaces it",
+        let next = match self.again {
+            Again::Resumes if other => "without --resume the scan starts anew and replaces it",
+            _ if other => "give a folder of its own with -o",
             _ if !full && !interrupted => "",
-            true => {
+            Again::Resumes => {
                 "run the same command with --resume to go on after the last finished frame: without \
                  --resume it starts anew and replaces them all"
             }
-            false => "run the same command again: it starts anew",
+            Again::GoesOn => {
+                "run the same command again: it goes on, and keeps the files that are finished"
+            }
+            Again::StartsAnew => "run the same command again: it starts anew",
         };
         let message = match next {
             "" => error.to_string(),

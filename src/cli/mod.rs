@@ -229,7 +229,11 @@ pub fn run() -> u8 {
     };
     let complaints = complaint::Complaints {
         json: cli.json,
-        resumable: matches!(&cli.command, Command::Scan(scan) if !scan.is_shard()),
+        again: match &cli.command {
+            Command::Scan(scan) if !scan.is_shard() => complaint::Again::Resumes,
+            Command::Dataset(_) => complaint::Again::GoesOn,
+            _ => complaint::Again::StartsAnew,
+        },
     };
     // The panic's own message is on stderr already.
     match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
