@@ -272,15 +272,21 @@ fn a_disk_of_64_kib_fills_up_and_what_is_there_is_whole() {
 }
 
 #[test]
-fn the_schema_in_the_project_is_the_one_the_program_prints() {
+fn the_schemas_in_the_project_are_those_the_program_prints() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let kept = fs::read_to_string(root.join("scenes/scene.schema.json")).unwrap_or_default();
-    let (code, printed, _) = run(root, &["schema"]);
-    assert_eq!(code, 0);
-    assert!(
-        kept == printed,
-        "the scene format has changed: run\n  cargo run -- schema > scenes/scene.schema.json"
-    );
+    for (file, command) in [
+        ("scenes/scene.schema.json", &["schema"][..]),
+        ("sensors/sensor.schema.json", &["schema", "--sensor"]),
+    ] {
+        let kept = fs::read_to_string(root.join(file)).unwrap_or_default();
+        let (code, printed, _) = run(root, command);
+        assert_eq!(code, 0);
+        assert!(
+            kept == printed,
+            "the format has changed: run\n  cargo run -- {} > {file}",
+            command.join(" ")
+        );
+    }
 }
 
 /// A line of 200 counts in row 12 of each column, found by each finder; the same

@@ -75,10 +75,10 @@ fn a_sensor_that_sees_its_part_gives_no_warning() {
             "{seed}: {valid} of {}",
             points.len()
         );
-        let range = checked.measuring_range.unwrap();
+        let [near, far] = checked.sensor.unwrap().ends();
         let [top, bottom] = sensor.range();
-        assert_near(range.near_mm, sensor.distance - top);
-        assert_near(range.far_mm, sensor.distance - bottom);
+        assert_near(near, sensor.distance - top);
+        assert_near(far, sensor.distance - bottom);
     }
 }
 

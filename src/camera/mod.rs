@@ -161,19 +161,22 @@ impl Camera {
         Some(1.0 - 1.0 / (focused_on * point.z)).filter(|d| d.is_finite())
     }
 
-    /// The tilt that brings the plane through `point` with normal `normal` (camera
-    /// frame) into focus, for a lens focused where that plane meets the axis
-    /// (Scheimpflug): the sensor's normal is along f·n - (n·p)·ẑ. `None` if the
-    /// plane holds the lens.
-    pub fn scheimpflug_tilt(&self, point: DVec3, normal: DVec3) -> Option<DVec2> {
-        let f = self.lens.focal_length;
-        let mut n = normal * f - DVec3::Z * normal.dot(point);
+    /// Where a lens must be focused and how its sensor tilted (rad), so that the plane through `point` with
+    /// `normal` (camera frame) is in focus (Scheimpflug): focused where that plane meets the axis, the sensor's
+    /// normal is along f·n - (n·p)·ẑ. `None` if the plane holds the lens.
+    pub fn focused_on_plane(
+        focal_length: f64,
+        (point, normal): (DVec3, DVec3),
+    ) -> Option<(f64, DVec2)> {
+        let offset = normal.dot(point);
+        let mut n = normal * focal_length - DVec3::Z * offset;
         n = n.try_normalize()?;
         if n.z < 0.0 {
             n = -n;
         }
         // sensor_axes' z column is (sin y·cos x, -sin x, cos y·cos x).
-        Some(DVec2::new((-n.y).asin(), n.x.atan2(n.z)))
+        let tilt = DVec2::new((-n.y).asin(), n.x.atan2(n.z));
+        Some((offset / normal.z, tilt))
     }
 }
 
@@ -260,7 +263,9 @@ mod tests {
             camera.defocus_blur(p).unwrap()
         };
         assert!(blur_at(&camera, 20.0, 10.0) > 0.01);
-        camera.tilt = camera.scheimpflug_tilt(point, normal).unwrap();
+        let (distance, tilt) = Camera::focused_on_plane(25.0, (point, normal)).unwrap();
+        assert!((distance - 240.0).abs() < 1e-9);
+        camera.tilt = tilt;
         for (a, b) in [(0.0, 0.0), (20.0, 10.0), (-15.0, 5.0), (0.0, -20.0)] {
             assert!(blur_at(&camera, a, b) < 1e-12, "{a} {b}");
         }

@@ -9,13 +9,14 @@ use crate::mesh::{self, MeshReport};
 use crate::plan::rules::Effect;
 use crate::plan::rules::Plan;
 use crate::report::chart::short;
-use crate::run::Checked;
 use crate::run::Forecast;
-use crate::scene::{Motion, Moves, Scene};
+use crate::run::{Checked, SensorFigures};
+use crate::scene::{Motion, Moves, Origin, Scene, SolvedValue};
 use crate::surface::{Ggx, Lobe, Surface};
 use indicatif::{DecimalBytes, HumanDuration};
 use serde::Serialize;
 use std::fmt::Write;
+use std::path::PathBuf;
 use std::time::Duration;
 
 #[derive(clap::Args)]
@@ -25,6 +26,9 @@ pub struct Arguments {
     /// Exit with code 65 if there are warnings
     #[arg(long)]
     strict: bool,
+    /// Folder to write sensor.svg to: laser, camera and measuring range to scale, with the part
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -43,11 +47,15 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
+    let checked = run::check(&scene, &control)?;
     let check = Check {
         mesh: mesh::report(&scene.mesh),
-        checked: run::check(&scene, &control)?,
-        scene: &scene,
+        scene: &checked.scene.clone(),
+        checked,
     };
+    if let Some(out) = &arguments.output {
+        run::draw_sensor(&check.checked, out)?;
+    }
     run::refuse(&check.checked.warnings, arguments.strict)?;
     output.result(&check, &text(&check))
 }
@@ -87,7 +95,9 @@ fn text(check: &Check) -> String {
             ),
         );
     }
-    text + &scheimpflug(&checked.plan)
+    text + &sheet(checked.sensor.as_ref())
+        + &from_data_sheet(scene)
+        + &scheimpflug(scene, &checked.plan)
 }
 
 fn line(name: &str, value: &str) -> String {
@@ -172,19 +182,9 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
         short(lens.focus_distance),
         short(sensor.exposure_ms)
     );
-    let range = match &checked.measuring_range {
-        None => "none: the camera sees nothing of the laser's light".to_owned(),
-        Some(range) => format!(
-            "{} to {} mm from the laser along the beam, {} mm wide in its middle",
-            short(range.near_mm),
-            short(range.far_mm),
-            short(range.width_mm)
-        ),
-    };
     let plan = &checked.plan;
     line("laser", &laser)
         + &line("camera", &camera)
-        + &line("measuring range", &range)
         + &line(
             "height per pixel",
             &format!("{} µm", short(1e3 / plan.px_per_mm)),
@@ -250,16 +250,114 @@ fn effect_lines(effect: &Effect) -> String {
     )
 }
 
-fn scheimpflug(plan: &Plan) -> String {
+/// The sensor as its own data sheet would have it.
+fn sheet(figures: Option<&SensorFigures>) -> String {
+    let mut text = "\nThe sensor on a page\n".to_owned();
+    let Some(figures) = figures else {
+        return text
+            + &line(
+                "measuring range",
+                "none: the camera sees nothing of the laser's light",
+            );
+    };
+    let [near, far] = figures.ends();
+    text += &line(
+        "stand-off",
+        &format!("{} mm, to the near end of the measuring range", short(near)),
+    );
+    text += &line(
+        "measuring range",
+        &format!("{} mm, to {} mm", short(far - near), short(far)),
+    );
+    let angle = format!(
+        "{}°, camera {} mm beside the laser's axis",
+        short(figures.triangulation_deg),
+        short(figures.baseline_mm)
+    );
+    text += &line("triangulation", &angle);
+    let sharp = match figures.in_focus_mm {
+        None => "nowhere in the range: the lens's blur is wider than the line".to_owned(),
+        Some([first, last]) if first <= near && last >= far => {
+            "the whole range: the lens's blur is narrower than the line".to_owned()
+        }
+        Some([first, last]) => format!(
+            "from {} to {} mm the lens's blur is narrower than the line",
+            short(first),
+            short(last)
+        ),
+    };
+    text += &line("depth of field", &sharp);
+    text += &match &figures.light {
+        None => line("light on the part", "none that the camera sees"),
+        Some(light) => line(
+            "light on the part",
+            &format!(
+                "{} counts in the line's middle (95 % below {}), {} are full: {} % of it saturates",
+                short(light.median),
+                short(light.bright),
+                short(light.full_scale),
+                short(100.0 * light.saturated_share)
+            ),
+        ),
+    };
+    text += &line(
+        "profiles",
+        &format!(
+            "at most {} a second, by the exposure",
+            short(figures.profiles_per_second)
+        ),
+    );
+    text += "\n  from the laser, mm    field, mm    µm/px in x    µm/px in z    line, µm    line, px    blur, px\n";
+    for place in figures.places.iter().step_by(2) {
+        let [left, right] = place.field_mm;
+        let [x, z] = place.um_per_px.map(short);
+        let _ = writeln!(
+            text,
+            "  {:>18}{:>13}{x:>14}{z:>14}{:>12}{:>12}{:>12}",
+            short(place.distance_mm),
+            short(right - left),
+            short(place.line_um),
+            short(place.line_px),
+            short(place.blur_px)
+        );
+    }
+    text
+}
+
+/// What was worked out from a data sheet, and why.
+fn from_data_sheet(scene: &Scene) -> String {
+    let mut text = String::new();
+    for value in &scene.sensor {
+        let SolvedValue { key, value, origin } = value;
+        let why = match origin {
+            Origin::Given => "given",
+            Origin::Solved => "follows from the data sheet",
+            Origin::Assumed => "ASSUMED",
+        };
+        text += &format!("  {why:<28}{key} = {value}\n");
+    }
+    match text.is_empty() {
+        true => text,
+        false => format!("\nFrom the data sheet, where scene and sensor say nothing else\n{text}"),
+    }
+}
+
+fn scheimpflug(scene: &Scene, plan: &Plan) -> String {
     let (Some([x, y]), Some(distance)) = (plan.scheimpflug_tilt_deg, plan.laser_plane_distance_mm)
     else {
         return String::new();
     };
+    let Camera { lens, tilt, .. } = &scene.camera;
+    let off = tilt.to_array().map(f64::to_degrees);
+    let focused = (0..2).all(|i| (off[i] - [x, y][i]).abs() < 1e-3);
+    if focused && (lens.focus_distance / distance - 1.0).abs() < 1e-5 {
+        return "\nThe whole laser plane is in focus.\n".to_owned();
+    }
     // A tilt of rounding's size is none.
     let [x, y] = [x, y].map(|tilt| if tilt.abs() < 5e-5 { 0.0 } else { tilt });
     format!(
-        "\nTo have the whole laser plane in focus: camera.tilt_deg = [{x:.4}, {y:.4}] and \
-         camera.focus_distance_mm = {distance:.3}\n"
+        "\nTo have the whole laser plane in focus: camera.focus = \"laser-plane\", which is camera.tilt_deg = \
+         [{x:.4}, {y:.4}] and camera.focus_distance_mm = {distance:.3}\n"
     )
 }
 

@@ -78,8 +78,12 @@ enum Command {
     Uncertainty(uncertainty::Arguments),
     /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
-    /// Print the JSON Schema of the scene file
-    Schema,
+    /// Print the JSON Schema of the scene file, or of a sensor file
+    Schema {
+        /// That of a sensor file
+        #[arg(long)]
+        sensor: bool,
+    },
     /// Print what a shell needs to complete commands and options
     Completions(manual::Completions),
     /// Print the manual page of the program or of a command
@@ -280,8 +284,11 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         Command::Completions(arguments) => manual::completions(arguments, &output),
         Command::Man(arguments) => manual::man(arguments, &output),
-        Command::Schema => {
-            let schema = crate::scene::schema();
+        Command::Schema { sensor } => {
+            let schema = match sensor {
+                true => crate::scene::sensor_schema(),
+                false => crate::scene::schema(),
+            };
             let value: serde_json::Value =
                 serde_json::from_str(&schema).expect("the schema is JSON");
             output.result(&value, &schema)

@@ -5,7 +5,7 @@ pub use super::chosen::{Effect, EffectKind, ExposureMotion, Plan, SpeckleOptics,
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
 use super::in_view::Optics;
-use crate::camera::GrainExtent;
+use crate::camera::{Camera, GrainExtent};
 use crate::frame::sampling_error;
 use crate::frame::{Blur, Sampling};
 use crate::laser::CUTOFF_RADII;
@@ -69,7 +69,8 @@ impl Plan {
         let samples = samples_per_side(sigma, line.grain.speckle_size_px, speckle.as_ref());
         let plane_point = camera_from_laser.translation;
         let plane_normal = camera_from_laser.rotation.y_axis;
-        let distance = plane_normal.dot(plane_point) / plane_normal.z;
+        let focused =
+            Camera::focused_on_plane(camera.lens.focal_length, (plane_point, plane_normal));
         let mut plan = Plan {
             geometry_only: false,
             speckle: speckle.as_ref().map(|optics| optics.method),
@@ -97,10 +98,10 @@ impl Plan {
             ),
             airy_radius_px,
             px_per_mm: line.px_per_mm,
-            scheimpflug_tilt_deg: camera
-                .scheimpflug_tilt(plane_point, plane_normal)
-                .map(|tilt| tilt.to_array().map(f64::to_degrees)),
-            laser_plane_distance_mm: (distance.is_finite() && distance > 0.0).then_some(distance),
+            scheimpflug_tilt_deg: focused.map(|(_, tilt)| tilt.to_array().map(f64::to_degrees)),
+            laser_plane_distance_mm: focused
+                .map(|(distance, _)| distance)
+                .filter(|distance| distance.is_finite() && *distance > 0.0),
             speckle_slips: false,
             effects: Vec::new(),
             accuracy: None,

@@ -1,26 +1,35 @@
 //! What can be said of a scene before a scan.
 
+use super::files;
 use super::forecast::{Forecast, forecast_of};
 use super::ready;
 use super::reason::Warning;
-use super::survey::MeasuringRange;
+use super::sensor_drawing::sensor_drawing;
+use super::sensor_figures::{Cuts, SensorFigures, cuts};
 use super::warnings::{Foreseen, foreseen};
 use super::{Control, Coverage};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::plan::rules::Plan;
 use crate::scene::Scene;
 use serde::Serialize;
+use std::path::Path;
 use std::time::Instant;
 
 /// A scene's plan, what its scan takes, and what will spoil it.
-#[derive(Debug, Serialize)]
+#[derive(Serialize)]
 pub struct Checked {
+    /// With its exposure set.
+    #[serde(skip)]
+    pub scene: Scene,
     /// Which effects are modelled, how and why.
     pub plan: Plan,
     /// Of the whole scan.
     pub forecast: Forecast,
     /// `null` if the camera sees nothing of the laser's light.
-    pub measuring_range: Option<MeasuringRange>,
+    pub sensor: Option<SensorFigures>,
+    /// The part in the light.
+    #[serde(skip)]
+    pub cuts: Cuts,
     /// Empty for a good scene.
     pub warnings: Vec<Warning>,
 }
@@ -36,11 +45,28 @@ pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     let preparing = start.elapsed().as_secs_f64();
     let forecast = forecast_of(&simulation, &frames, preparing, control)?;
     let images = !simulation.plan.geometry_only;
-    let Foreseen { range, warnings } = foreseen(scene, &simulation.accel, frames, images);
+    let Foreseen { sensor, warnings } =
+        foreseen(&simulation.scene, &simulation.accel, frames, images);
     Ok(Checked {
+        scene: simulation.scene.clone(),
         plan: simulation.plan,
         forecast,
-        measuring_range: range,
+        sensor,
+        cuts: cuts(&simulation.scene, &simulation.accel),
         warnings,
     })
+}
+
+/// Writes `sensor.svg` to a folder: the sensor drawn to scale, with the part in it.
+///
+/// # Errors
+/// A camera that sees nothing of the laser's light; a file that cannot be written.
+pub fn draw_sensor(checked: &Checked, out: &Path) -> Result<()> {
+    let Some(sensor) = &checked.sensor else {
+        let nothing = "the camera sees nothing of the laser's light: there is no sensor to draw";
+        return Err(Error::Usage(nothing.to_owned()));
+    };
+    files::create_folder(out)?;
+    let drawing = sensor_drawing(sensor, &checked.cuts);
+    files::write_bytes(&out.join("sensor.svg"), drawing.as_bytes())
 }

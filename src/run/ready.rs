@@ -2,23 +2,46 @@
 
 use super::control::{Control, Coverage};
 use super::planner::scene_plan_with;
+use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
+use super::survey::Survey;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;
 use crate::mesh::Watch;
 use crate::plan::Plan;
 use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
+use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Builds the hierarchy a scene asks for; `watch` hears how far that is.
-pub(crate) fn hierarchy(scene: &Scene, watch: &Watch) -> Result<Accel> {
+/// Builds the hierarchy a scene asks for; `watch` hears how far that is. The scene comes back with its
+/// exposure set.
+pub(crate) fn hierarchy<'a>(scene: &'a Scene, watch: &Watch) -> Result<(Cow<'a, Scene>, Accel)> {
     let threads = rayon::current_num_threads();
-    Accel::build_with(scene.accel, &scene.mesh, threads, watch)?.with_copies(scene.copies.clone())
+    let accel = Accel::build_with(scene.accel, &scene.mesh, threads, watch)?;
+    let accel = accel.with_copies(scene.copies.clone())?;
+    Ok((exposed(scene, &accel), accel))
+}
+
+/// The scene with the exposure that it leaves to the light: the line's middle reaches the scene's share of full
+/// scale, without speckle and blur, in 95 of 100 places that the camera sees along the path, or less.
+pub(crate) fn exposed<'a>(scene: &'a Scene, accel: &Accel) -> Cow<'a, Scene> {
+    let Some(share) = scene.auto_exposure else {
+        return Cow::Borrowed(scene);
+    };
+    let survey = Survey::of(scene, accel, 0..scene.scan.frames);
+    // Without light any exposure does.
+    let times =
+        PeakCounts::of(scene, &survey).map_or(1.0, |light| share * light.full_scale / light.bright);
+    let exposure_ms = scene.camera.sensor.exposure_ms * times.clamp(1e-9, 1e9);
+    Cow::Owned(scene.exposed(exposure_ms))
 }
 
 /// The same while `control` watches.
-pub(crate) fn hierarchy_watched(scene: &Scene, control: &Control) -> Result<Accel> {
+pub(crate) fn hierarchy_watched<'a>(
+    scene: &'a Scene,
+    control: &Control,
+) -> Result<(Cow<'a, Scene>, Accel)> {
     hierarchy(scene, &|share| {
         if let Some(building) = control.building {
             building(share);
@@ -33,10 +56,10 @@ pub(crate) fn simulation(
     coverage: Coverage,
     control: &Control,
 ) -> Result<Simulation> {
-    let accel = hierarchy_watched(scene, control)?;
+    let (scene, accel) = hierarchy_watched(scene, control)?;
     match coverage {
-        Coverage::Footprint => Simulation::of_footprint(scene, accel),
-        Coverage::Exhaustive => Simulation::of_everything(scene, accel),
+        Coverage::Footprint => Simulation::of_footprint(&scene, accel),
+        Coverage::Exhaustive => Simulation::of_everything(&scene, accel),
     }
 }
 
@@ -54,14 +77,16 @@ pub(crate) fn simulation(
 /// # Ok::<(), lasertrace::Error>(())
 /// ```
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
-    scene_plan_with(scene, &Arc::new(hierarchy(scene, &|_| Ok(()))?))
+    let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
+    scene_plan_with(&scene, &Arc::new(accel))
 }
 
 impl Simulation {
     /// Plans the scene and builds all that its frames share. Errors: too little memory, a
     /// failure of Embree. A tolerance that no plan keeps is no error: [`Plan::accuracy`] says so.
     pub fn new(scene: &Scene) -> Result<Simulation> {
-        Simulation::of_footprint(scene, hierarchy(scene, &|_| Ok(()))?)
+        let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
+        Simulation::of_footprint(&scene, accel)
     }
 
     /// The same while `control` watches: `building` hears of the hierarchy, which takes most of
@@ -77,6 +102,7 @@ impl Simulation {
 
     /// One of another scene with the same part, whose hierarchy is shared.
     pub(crate) fn of_same_part(&self, scene: &Scene) -> Result<Simulation> {
+        let scene = &exposed(scene, &self.accel);
         let plan = scene_plan_with(scene, &self.accel)?;
         let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
         Ok(other.with_clusters_of(self))
@@ -85,7 +111,8 @@ impl Simulation {
     /// One that traces every sample, to the same bytes.
     #[doc(hidden)]
     pub fn exhaustive(scene: &Scene) -> Result<Simulation> {
-        Simulation::of_everything(scene, hierarchy(scene, &|_| Ok(()))?)
+        let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
+        Simulation::of_everything(&scene, accel)
     }
 
     pub(crate) fn of_everything(scene: &Scene, accel: Accel) -> Result<Simulation> {
@@ -97,8 +124,8 @@ impl Simulation {
     /// One that takes no images, only [`Self::geometric`] profiles of a line laser.
     #[doc(hidden)]
     pub fn geometry(scene: &Scene) -> Result<Simulation> {
-        let accel = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_geometry(scene, accel)
+        let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
+        Simulation::of_geometry(&scene, accel)
     }
 
     pub(crate) fn of_geometry(scene: &Scene, accel: Accel) -> Result<Simulation> {

@@ -223,7 +223,10 @@ pub fn merge(
 
 fn simulation_of(scene: &Scene, options: &ScanOptions, control: &Control) -> Result<Simulation> {
     match options.geometry_only {
-        true => Simulation::of_geometry(scene, ready::hierarchy_watched(scene, control)?),
+        true => {
+            let (scene, accel) = ready::hierarchy_watched(scene, control)?;
+            Simulation::of_geometry(&scene, accel)
+        }
         false => ready::simulation(scene, options.coverage, control),
     }
 }
@@ -239,9 +242,9 @@ fn refuse_worthless(
     if !options.strict {
         return Ok(());
     }
-    let accel = ready::hierarchy_watched(scene, control)?;
+    let (scene, accel) = ready::hierarchy_watched(scene, control)?;
     let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
-    let Foreseen { warnings, .. } = warnings::foreseen(scene, &accel, frames.clone(), images);
+    let Foreseen { warnings, .. } = warnings::foreseen(&scene, &accel, frames.clone(), images);
     warnings::refuse(&warnings, true)
 }
 

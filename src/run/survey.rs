@@ -19,8 +19,6 @@ pub struct MeasuringRange {
     pub near_mm: f64,
     /// The greatest.
     pub far_mm: f64,
-    /// Width in its middle, mm.
-    pub width_mm: f64,
 }
 
 /// Rays of a line laser, evenly spread over its fan.
@@ -105,20 +103,9 @@ impl Survey {
             .flat_map_iter(|&frame| fates(scene, accel, frame, &directions))
             .collect();
         let seen = directions.iter().filter_map(|d| Some((d.along, d.seen?)));
-        let range = seen
-            .clone()
-            .fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
-                let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
-                Some([low.min(a * d.z), high.max(b * d.z)])
-            });
-        let range = range.map(|[near_mm, far_mm]| {
-            let middle = (near_mm + far_mm) / 2.0;
-            let across = Aabb::of(seen.map(|(d, _)| d * (middle / d.z)));
-            MeasuringRange {
-                near_mm,
-                far_mm,
-                width_mm: across.size().x,
-            }
+        let range = seen.fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
+            let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
+            Some([low.min(a * d.z), high.max(b * d.z)])
         });
         Survey {
             miss: match fates.is_empty() {
@@ -126,7 +113,7 @@ impl Survey {
                 false => None,
             },
             fates,
-            range,
+            range: range.map(|[near_mm, far_mm]| MeasuringRange { near_mm, far_mm }),
         }
     }
 }

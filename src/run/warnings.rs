@@ -2,6 +2,7 @@
 //! geometry of the scene, and after it, from what the frames gave.
 
 use super::reason::{Reason, Warning};
+use super::sensor_figures::SensorFigures;
 use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
@@ -27,7 +28,7 @@ const MOST_POSES: usize = 100_000;
 
 /// What is known before a scan.
 pub(crate) struct Foreseen {
-    pub range: Option<MeasuringRange>,
+    pub sensor: Option<SensorFigures>,
     pub warnings: Vec<Warning>,
 }
 
@@ -38,11 +39,15 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
     reasons.extend(no_motion(scene, &frames));
     reasons.extend(sensor_and_part(scene, accel, &frames));
     let survey = Survey::of(scene, accel, frames);
-    let range = survey.range;
-    reasons.extend(range.and_then(|range| unit_doubtful(scene, accel, range.width_mm)));
+    let sensor = SensorFigures::of(scene, &survey);
+    let width = sensor.as_ref().and_then(|sensor| {
+        let [near, far] = sensor.ends();
+        sensor.field_at((near + far) / 2.0)
+    });
+    reasons.extend(width.and_then(|width_mm| unit_doubtful(scene, accel, width_mm)));
     reasons.extend(of_the_survey(scene, &survey, images));
     Foreseen {
-        range,
+        sensor,
         warnings: reasons.into_iter().map(Warning::from).collect(),
     }
 }

@@ -1,13 +1,16 @@
 //! The scene file as written: TOML, millimetres unless the key says otherwise.
 //! The doc comments here become the descriptions in the JSON Schema.
 
+use super::data_sheet::DataSheet;
 use super::unit::Unit;
 use crate::accel::Backend;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
 use crate::profile::{Choice, PeakFinder};
 use schemars::JsonSchema;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 /// A laser-triangulation scan of one part. World frame right-handed,
 /// millimetres.
@@ -25,6 +28,11 @@ pub struct SceneFile {
     /// Also write each frame of a scan as frames/frame-KKKKKK.png.
     #[serde(default)]
     pub write_frames: bool,
+    /// File of a sensor (TOML): `laser` and `camera`, or a `data_sheet`; path relative to the scene file.
+    /// What the scene itself says of them is laid over it. Default: the scene has all.
+    pub sensor: Option<String>,
+    /// The sensor as its maker describes it: `laser` and `camera` follow from it.
+    pub data_sheet: Option<DataSheet>,
     /// What is measured.
     pub part: PartTable,
     /// What lights it.
@@ -267,8 +275,11 @@ pub struct CameraTable {
     /// circle.
     #[serde(default)]
     pub aperture: Aperture,
-    /// Distance along the axis from the lens to the plane in focus.
-    pub focus_distance_mm: f64,
+    /// Distance along the axis from the lens to the plane in focus. Without `focus` it must be given.
+    pub focus_distance_mm: Option<f64>,
+    /// `laser-plane`, in place of `focus_distance_mm` and `tilt_deg`: the sensor is tilted so that the whole
+    /// laser plane is in focus (Scheimpflug).
+    pub focus: Option<Focus>,
     /// Columns, rows.
     #[serde(deserialize_with = "array")]
     pub resolution_px: [u32; 2],
@@ -284,13 +295,18 @@ pub struct CameraTable {
     #[serde(deserialize_with = "array")]
     pub columns: [f64; 3],
     /// Scheimpflug tilt of the sensor about the image's column axis and row axis.
-    /// Default: none. `lasertrace check` prints the tilt that brings the laser
-    /// plane into focus.
-    #[serde(default, deserialize_with = "array")]
-    pub tilt_deg: [f64; 2],
+    /// Default: none, or what `focus` says.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub tilt_deg: Option<[f64; 2]>,
     /// Distortion of the lens. Default: none.
     pub distortion: Option<DistortionTable>,
-    pub exposure_ms: f64,
+    /// Without `exposure` it must be given.
+    pub exposure_ms: Option<f64>,
+    /// `auto`, in place of `exposure_ms`: such that the line's middle reaches `exposure_share` of full scale
+    /// where the part is bright.
+    pub exposure: Option<AutoExposure>,
+    /// Share of full scale that `exposure = "auto"` aims at, in 95 of 100 lit places or fewer. Default: 0.5.
+    pub exposure_share: Option<f64>,
     /// Electrons per photon, 0 to 1.
     pub quantum_efficiency: f64,
     /// Counts per electron.
@@ -304,6 +320,20 @@ pub struct CameraTable {
     /// Standard deviation of the read noise in electrons. With this key counts
     /// have shot and read noise; without it they are the rounded expectation.
     pub read_noise_e: Option<f64>,
+}
+
+/// What is in focus.
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Focus {
+    LaserPlane,
+}
+
+/// How the exposure is found.
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum AutoExposure {
+    Auto,
 }
 
 /// Brown–Conrady distortion, of coordinates divided by the distance along the
@@ -434,14 +464,57 @@ fn one_pose() -> u32 {
     1
 }
 
-/// JSON Schema of the scene file, as pretty-printed text.
-pub fn schema() -> String {
-    let schema = schemars::schema_for!(SceneFile);
-    serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
+/// A sensor in a file of its own: a data sheet, or laser and camera as a scene has them, or both, where what
+/// the file says of laser and camera is not in the data sheet.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "lasertrace sensor")]
+pub struct SensorFile {
+    /// As its maker describes it.
+    #[serde(rename = "data_sheet")]
+    #[schemars(with = "Option<DataSheet>")]
+    _data_sheet: Option<IgnoredAny>,
+    /// Of `laser` in a scene.
+    #[serde(rename = "laser")]
+    #[schemars(with = "Option<LaserTable>")]
+    _laser: Option<IgnoredAny>,
+    /// Of `camera` in a scene.
+    #[serde(rename = "camera")]
+    #[schemars(with = "Option<CameraTable>")]
+    _camera: Option<IgnoredAny>,
 }
 
-pub(super) fn schema_value() -> serde_json::Value {
-    schemars::schema_for!(SceneFile).to_value()
+/// JSON Schema of the scene file, as pretty-printed text.
+pub fn schema() -> String {
+    pretty(schema_value())
+}
+
+/// The same of a sensor's file.
+pub fn sensor_schema() -> String {
+    pretty(divided(schemars::schema_for!(SensorFile).to_value()))
+}
+
+pub(super) fn schema_value() -> Value {
+    let mut schema = divided(schemars::schema_for!(SceneFile).to_value());
+    // Another file may have them.
+    schema["required"] = json!(["seed", "speckle", "part", "scan"]);
+    schema
+}
+
+/// Tables that may be divided between files need not be whole in any.
+fn divided(mut schema: Value) -> Value {
+    for table in ["LaserTable", "CameraTable", "LineTable", "DataSheet"] {
+        if let Some(table) = schema["$defs"][table].as_object_mut() {
+            table.remove("required");
+        }
+    }
+    schema
+}
+
+fn pretty(schema: Value) -> String {
+    // A `Schema` has its keys in the order in which they are read.
+    let schema = schemars::Schema::try_from(schema).expect("a schema is a table");
+    serde_json::to_string_pretty(&schema).expect("a schema is JSON") + "\n"
 }
 
 /// How far results may be from those of the full model. Without it nothing that the

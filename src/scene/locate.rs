@@ -2,15 +2,29 @@
 
 use super::keys;
 use crate::error::{Error, InputError, Place};
+use serde::de::DeserializeOwned;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A scene file's text with its keys' places.
+/// A scene file's text with its keys' places, and that of a sensor below it, whose values hold where the
+/// scene has none.
+#[derive(Default)]
 pub(super) struct Source {
-    file: PathBuf,
-    text: String,
+    /// The scene first.
+    files: Vec<FileText>,
     entries: Vec<Entry>,
+}
+
+/// A file in a source.
+struct FileText {
+    file: PathBuf,
+    /// Behind as many spaces as all files before it are long, so that no two places are the same.
+    text: String,
+    start: usize,
+    /// Worked out and not written by anybody: it has no lines.
+    solved: bool,
 }
 
 struct Entry {
@@ -46,7 +60,7 @@ impl Source {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
-            let expected = "a scene as TOML text; a mesh is named in a scene, \
+            let expected = "a scene or a sensor as TOML text; a mesh is named in a scene, \
                             [part] mesh = { file = \"part.stl\", unit = \"mm\" }";
             InputError::new(path, place, "bytes that are not UTF-8", expected)
         })?;
@@ -56,13 +70,17 @@ impl Source {
     /// Errors: text that is not TOML.
     pub fn parse(file: &Path, text: String) -> Result<Source, Error> {
         let mut source = Source {
-            file: file.to_owned(),
-            text,
+            files: vec![FileText {
+                file: file.to_owned(),
+                text,
+                start: 0,
+                solved: false,
+            }],
             entries: Vec::new(),
         };
         let mut entries = Vec::new();
         // What of a file with a mistake can be read says where the mistake stands.
-        let (table, errors) = DeTable::parse_recoverable(&source.text);
+        let (table, errors) = DeTable::parse_recoverable(&source.files[0].text);
         collect("", table.get_ref(), &mut entries);
         let error = errors.into_iter().next();
         source.entries = entries;
@@ -72,6 +90,46 @@ impl Source {
         }
     }
 
+    /// The values of the file `under` too, where this source has none. `solved`: they were worked out from what the file says.
+    pub fn over(mut self, file: &Path, under: &str, solved: bool) -> Source {
+        let start = self
+            .files
+            .iter()
+            .map(|part| part.text.len())
+            .max()
+            .unwrap_or(0);
+        self.files.push(FileText {
+            file: file.to_owned(),
+            text: " ".repeat(start) + under,
+            start,
+            solved,
+        });
+        let mut entries = Vec::new();
+        collect("", self.table().get_ref(), &mut entries);
+        self.entries = entries;
+        self
+    }
+
+    /// All values. The files were read before, so each is TOML.
+    pub fn table(&self) -> Spanned<DeTable<'_>> {
+        let tables = self.files.iter().map(|part| {
+            let (table, _) = DeTable::parse_recoverable(&part.text);
+            table
+        });
+        tables
+            .reduce(|mut table, under| {
+                fill(table.get_mut(), under.into_inner());
+                table
+            })
+            .expect("a source has a file")
+    }
+
+    /// The values as `T` has them. Errors: mistakes with their places.
+    pub fn values<T: DeserializeOwned>(&self) -> Result<T, Error> {
+        let table = toml::de::Deserializer::from(self.table());
+        T::deserialize(table).map_err(|error| self.explain(&error))
+    }
+
     /// A list is no table, though its values could stand for a table's in their order.
     fn no_list_for_a_table(&self) -> Result<(), Error> {
         let list = self.entries.iter().find(|entry| {
@@ -79,7 +137,7 @@ impl Source {
             matches!(entry.kind, Kind::List | Kind::Tables) && inside
         });
         let Some(entry) = list else { return Ok(()) };
-        let (key, place) = (&entry.key, self.line(entry.at.start));
+        let (key, place) = (&entry.key, Some(entry.at.start));
         let (found, expected) = match entry.kind {
             Kind::Tables => (
                 format!("[[{key}]], a list of tables"),
@@ -90,26 +148,53 @@ impl Source {
         Err(self.error(place, Some(key), found, &expected))
     }
 
-    pub fn text(&self) -> &str {
-        &self.text
+    /// All files' texts.
+    pub fn text(&self) -> String {
+        self.files
+            .iter()
+            .map(|part| &part.text[part.start..])
+            .collect()
+    }
+
+    /// The file in which `offset` stands.
+    fn file(&self, offset: usize) -> &FileText {
+        let mut files = self.files.iter().rev();
+        let found = files.find(|part| part.start <= offset);
+        found.unwrap_or(&self.files[0])
     }
 
     /// The text before `offset`, at most to its end, and to the start of a character.
     fn before(&self, offset: usize) -> &str {
-        let mut ends = (0..=offset.min(self.text.len())).rev();
-        let end = ends.find(|&end| self.text.is_char_boundary(end));
-        &self.text[..end.unwrap_or(0)]
+        let text = &self.file(offset).text;
+        let mut ends = (0..=offset.min(text.len())).rev();
+        let end = ends.find(|&end| text.is_char_boundary(end));
+        &text[..end.unwrap_or(0)]
     }
 
     fn line(&self, offset: usize) -> Place {
-        let before = &self.text.as_bytes()[..offset.min(self.text.len())];
-        Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
+        let FileText { text, solved, .. } = self.file(offset);
+        let before = &text.as_bytes()[..offset.min(text.len())];
+        match solved {
+            true => Place::File,
+            false => Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count()),
+        }
     }
 
     /// An entry's value as written, its first line.
     fn written(&self, entry: &Entry) -> &str {
-        let text = &self.text[entry.value.clone()];
+        let text = &self.file(entry.value.start).text[entry.value.clone()];
         text.lines().next().unwrap_or_default()
+    }
+
+    /// Whether `key` stands in the file that first describes `table`: not in one laid over it.
+    pub fn beside(&self, key: &str, table: &str) -> bool {
+        let start = |entry: &Entry| self.file(entry.at.start).start;
+        let own = self.entries.iter().find(|entry| entry.key == key);
+        let in_table = self.entries.iter().filter(|entry| {
+            let name = entry.key.strip_prefix(table);
+            name.is_some_and(|name| name.starts_with('.'))
+        });
+        own.is_some_and(|own| in_table.map(start).max() == Some(start(own)))
     }
 
     /// The value of `key` as written; the line of its nearest ancestor if it is
@@ -119,9 +204,9 @@ impl Source {
         let found = |path: &str| self.entries.iter().find(|entry| entry.key == path);
         let place = loop {
             match (found(path), path.rfind('.')) {
-                (Some(entry), _) => break self.line(entry.at.start),
+                (Some(entry), _) => break Some(entry.at.start),
                 (None, Some(dot)) => path = &path[..dot],
-                (None, None) => break Place::File,
+                (None, None) => break None,
             }
         };
         let value = found(key).map_or("", |entry| self.written(entry));
@@ -141,9 +226,13 @@ impl Source {
     /// What the TOML reader cannot read.
     fn not_toml(&self, error: &toml::de::Error) -> Error {
         let at = error.span().unwrap_or(0..0);
-        let place = self.line(at.start);
+        let place = Some(at.start);
         let start = self.before(at.start).rfind('\n').map_or(0, |n| n + 1);
-        let line = self.text[start..].lines().next().unwrap_or_default().trim();
+        let line = self.files[0].text[start..]
+            .lines()
+            .next()
+            .unwrap_or_default()
+            .trim();
         if error.message() == "duplicate key" {
             let name = &self.before(at.end)[self.before(at.start).len()..];
             let key = self.key_at(at.start, name.trim_matches(['[', ']', ' ']));
@@ -191,7 +280,7 @@ impl Source {
     }
 
     /// An error of the TOML reader, in the words of all errors where it has a pattern.
-    pub fn explain(&self, error: &toml::de::Error) -> Error {
+    fn explain(&self, error: &toml::de::Error) -> Error {
         let message = error.message();
         let at = error.span().unwrap_or(0..0);
         let inside = |range: &Range<usize>| range.contains(&at.start);
@@ -210,14 +299,11 @@ impl Source {
         }
         let (Some(entry), Some((found, expected))) = (entry, message.split_once(", expected "))
         else {
-            let place = match at.is_empty() {
-                true => Place::File,
-                false => self.line(at.start),
-            };
+            let place = (!at.is_empty()).then_some(at.start);
             let key = entry.map(|entry| entry.key.as_str());
             return self.error(place, key, message, "a scene file");
         };
-        let place = self.line(at.start);
+        let place = Some(at.start);
         let expected = expected.trim_start_matches("one of ");
         let choices: Vec<&str> = expected.split('`').skip(1).step_by(2).collect();
         if message.starts_with("unknown field") {
@@ -250,7 +336,7 @@ impl Source {
         self.error(place, Some(&entry.key), found, &expected)
     }
 
-    fn unknown_key(&self, place: Place, key: &str, choices: &[&str]) -> Error {
+    fn unknown_key(&self, place: Option<usize>, key: &str, choices: &[&str]) -> Error {
         let (table, name) = key.rsplit_once('.').unwrap_or(("", key));
         let elsewhere: Vec<String> = keys::all()
             .filter(|known| known.rsplit_once('.').is_some_and(|(_, last)| last == name))
@@ -267,7 +353,8 @@ impl Source {
             None => Some(format!("{name} belongs in {}", one_of(&elsewhere))),
         };
         let found = match table {
-            "" => "a key that a scene does not have".to_owned(),
+            "" if choices.contains(&"part") => "a key that a scene does not have".to_owned(),
+            "" => "a key that a sensor does not have".to_owned(),
             _ => format!("a key that [{table}] does not have"),
         };
         let choices: Vec<String> = choices.iter().map(|c| c.to_string()).collect();
@@ -276,28 +363,80 @@ impl Source {
 
     fn hinted(
         &self,
-        place: Place,
+        at: Option<usize>,
         key: &str,
         found: &str,
         expected: &str,
         hint: Option<String>,
     ) -> Error {
-        let mut error = InputError::new(&self.file, place, found, expected);
-        error.key = Some(key.to_owned());
+        let mut error = self.mistake(at, Some(key), found, expected);
         error.hint = hint;
         error.into()
     }
 
     fn error(
         &self,
-        place: Place,
+        at: Option<usize>,
         key: Option<&str>,
         found: impl Into<String>,
         expected: &str,
     ) -> Error {
-        let mut error = InputError::new(&self.file, place, found, expected);
+        self.mistake(at, key, found, expected).into()
+    }
+
+    /// `at`: where it stands; without it, in the scene.
+    fn mistake(
+        &self,
+        at: Option<usize>,
+        key: Option<&str>,
+        found: impl Into<String>,
+        expected: &str,
+    ) -> InputError {
+        let place = at.map_or(Place::File, |at| self.line(at));
+        let file = &self.file(at.unwrap_or(0)).file;
+        let mut error = InputError::new(file, place, found, expected);
         error.key = key.map(str::to_owned);
-        error.into()
+        error
+    }
+}
+
+/// Keys that stand for one thing: what a file says of it is not mixed with what another says by the other key.
+const ALTERNATIVES: [[&str; 2]; 3] = [
+    ["exposure_ms", "exposure"],
+    ["focus_distance_mm", "focus"],
+    ["tilt_deg", "focus"],
+];
+
+/// What a table has not is taken from another, table by table.
+fn fill<'a>(table: &mut DeTable<'a>, under: DeTable<'a>) {
+    let has: Vec<bool> = ALTERNATIVES
+        .as_flattened()
+        .iter()
+        .map(|&name| table.contains_key(name))
+        .collect();
+    let other = |name: &str| {
+        let places = ALTERNATIVES.as_flattened().iter().enumerate();
+        // The other of a pair is beside it.
+        places
+            .filter(|&(_, known)| *known == name)
+            .any(|(i, _)| has[i ^ 1])
+    };
+    for (name, value) in under {
+        if other(name.get_ref()) {
+            continue;
+        }
+        match table.get_mut(&**name.get_ref()) {
+            None => {
+                table.insert(name, value);
+            }
+            Some(own) => {
+                if let (DeValue::Table(own), DeValue::Table(under)) =
+                    (own.get_mut(), value.into_inner())
+                {
+                    fill(own, under);
+                }
+            }
+        }
     }
 }
 

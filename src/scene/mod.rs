@@ -1,5 +1,6 @@
 //! The scene: what is written in the file, and what that means in internal units.
 
+mod data_sheet;
 mod file;
 mod keys;
 mod locate;
@@ -14,7 +15,8 @@ mod surface;
 mod unit;
 mod values;
 
-pub use file::{Moves, PlanTable, SceneFile, schema};
+pub use data_sheet::{Origin, SolvedValue};
+pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{Motion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};

@@ -1,7 +1,8 @@
 //! Laser, camera and speckle of a scene file, validated.
 
 use super::file::{
-    CameraTable, DistortionTable, LaserTable, ProfileName, SceneFile, SpeckleMethod,
+    AutoExposure, CameraTable, DistortionTable, Focus, LaserTable, ProfileName, ScanTable,
+    SceneFile, SpeckleMethod,
 };
 use super::resolve::SpeckleModel;
 use super::resolver::Resolver;
@@ -118,12 +119,68 @@ impl Resolver<'_> {
         }))
     }
 
-    pub(super) fn camera(&self, table: &CameraTable) -> Result<Camera> {
+    /// Share of full scale that an exposure which is not given aims at.
+    pub(super) fn auto_exposure(&self, table: &CameraTable) -> Result<Option<f64>> {
+        let share = table.exposure_share.unwrap_or(0.5);
+        self.check(
+            share > 0.0 && share <= 1.0,
+            "camera.exposure_share",
+            "a share above 0 and at most 1",
+        )?;
+        match (table.exposure_ms, table.exposure) {
+            (Some(_), Some(AutoExposure::Auto)) => {
+                let expected = "exposure_ms or exposure = \"auto\", not both";
+                Err(self.source.wrong("camera.exposure", expected))
+            }
+            (_, exposure) => Ok(exposure.map(|AutoExposure::Auto| share)),
+        }
+    }
+
+    /// Distance in focus and tilt of the sensor, rad.
+    fn focus(&self, table: &CameraTable, camera_from_laser: &Rigid) -> Result<(f64, DVec2)> {
+        let Some(Focus::LaserPlane) = table.focus else {
+            let distance = table.focus_distance_mm;
+            let distance =
+                distance.ok_or_else(|| self.source.missing("camera.focus_distance_mm"))?;
+            let tilt = table.tilt_deg.unwrap_or_default();
+            self.check(
+                tilt.iter().all(|t| t.abs() <= 80.0),
+                "camera.tilt_deg",
+                "angles from -80 to 80",
+            )?;
+            let tilt = DVec2::from(tilt).map(f64::to_radians);
+            return Ok((self.positive(distance, "camera.focus_distance_mm")?, tilt));
+        };
+        let alone = table.focus_distance_mm.is_none() && table.tilt_deg.is_none();
+        let expected = "focus = \"laser-plane\", or focus_distance_mm and tilt_deg, not both";
+        self.check(alone, "camera.focus", expected)?;
+        let plane = (
+            camera_from_laser.translation,
+            camera_from_laser.rotation.y_axis,
+        );
+        let f = self.positive(table.focal_length_mm, "camera.focal_length_mm")?;
+        let found = Camera::focused_on_plane(f, plane).filter(|(distance, tilt)| {
+            distance.is_finite() && *distance > f && tilt.abs().max_element() <= 80f64.to_radians()
+        });
+        found.ok_or_else(|| {
+            let expected = "a camera whose axis meets the laser plane in front of it, beyond the focal length, so \
+                            that a tilt below 80° brings that plane into focus";
+            self.source.wrong("camera.focus", expected)
+        })
+    }
+
+    pub(super) fn camera(
+        &self,
+        table: &CameraTable,
+        scan: &ScanTable,
+        camera_from_laser: &Rigid,
+    ) -> Result<Camera> {
         let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
+        let (focus_distance, tilt) = self.focus(table, camera_from_laser)?;
         let lens = Lens {
             focal_length: positive(table.focal_length_mm, "focal_length_mm")?,
             f_number: positive(table.f_number, "f_number")?,
-            focus_distance: positive(table.focus_distance_mm, "focus_distance_mm")?,
+            focus_distance,
             aperture: table.aperture,
             distortion: None,
         };
@@ -141,18 +198,8 @@ impl Resolver<'_> {
             "camera.focus_distance_mm",
             "a distance beyond the focal length",
         )?;
-        let sensor = self.sensor(table)?;
-        let tilt = table.tilt_deg;
-        self.check(
-            tilt.iter().all(|t| t.abs() <= 80.0),
-            "camera.tilt_deg",
-            "angles from -80 to 80",
-        )?;
-        let mut camera = Camera {
-            lens,
-            sensor,
-            tilt: DVec2::from(tilt).map(f64::to_radians),
-        };
+        let sensor = self.sensor(table, scan.frame_rate_hz)?;
+        let mut camera = Camera { lens, sensor, tilt };
         let Some(reach) = camera.model().reach() else {
             let expected = "a tilt at which the sensor's corners stay behind the lens";
             return Err(self.source.wrong("camera.tilt_deg", expected));
@@ -165,7 +212,8 @@ impl Resolver<'_> {
         Ok(camera)
     }
 
-    fn sensor(&self, table: &CameraTable) -> Result<Sensor> {
+    /// `frame_rate_hz` bounds the exposure from which one that is not given is found.
+    fn sensor(&self, table: &CameraTable, frame_rate_hz: Option<f64>) -> Result<Sensor> {
         let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
         let [columns, rows] = table.resolution_px;
         self.check(
@@ -196,10 +244,18 @@ impl Resolver<'_> {
             }),
             None => None,
         };
+        let exposure_ms = match (table.exposure_ms, table.exposure, frame_rate_hz) {
+            (Some(exposure_ms), ..) => positive(exposure_ms, "exposure_ms")?,
+            (None, Some(AutoExposure::Auto), rate) => match rate {
+                Some(rate) if rate > 0.0 => (1e3 / rate).min(1.0),
+                _ => 1.0,
+            },
+            (None, None, _) => return Err(self.source.missing("camera.exposure_ms")),
+        };
         Ok(Sensor {
             resolution: UVec2::new(columns, rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
-            exposure_ms: positive(table.exposure_ms, "exposure_ms")?,
+            exposure_ms,
             quantum_efficiency: efficiency,
             gain_dn_per_e: positive(table.gain_dn_per_e, "gain_dn_per_e")?,
             bit_depth: table.bit_depth,

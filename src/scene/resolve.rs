@@ -1,5 +1,6 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
+use super::data_sheet::SolvedValue;
 use super::file::{PartTable, PlanTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
@@ -95,6 +96,12 @@ pub struct Scene {
     pub camera: Camera,
     /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
+    /// Share of full scale at which the exposure is still to be set; `None`: it is as given.
+    #[doc(hidden)]
+    pub auto_exposure: Option<f64>,
+    /// What was worked out from a data sheet, with why; empty without one.
+    #[doc(hidden)]
+    pub sensor: Vec<SolvedValue>,
     /// From image to points.
     #[doc(hidden)]
     pub measure: Measure,
@@ -147,15 +154,32 @@ impl Scene {
         Scene::resolved(source, &self.path, &|_| Ok(()), Some(self))
     }
 
+    /// The scene with this exposure (ms), or as long a one as the frame rate lets it have.
+    pub(crate) fn exposed(&self, exposure_ms: f64) -> Scene {
+        let mut scene = self.clone();
+        let before = self.camera.sensor.exposure_ms;
+        let longest = self
+            .scan
+            .exposure_share
+            .map_or(f64::INFINITY, |share| before / share);
+        scene.camera.sensor.exposure_ms = exposure_ms.min(longest);
+        scene.scan.exposure_share = self
+            .scan
+            .exposure_share
+            .map(|share| share * scene.camera.sensor.exposure_ms / before);
+        scene.auto_exposure = None;
+        scene
+    }
+
     fn resolved(source: Source, path: &Path, watch: &Watch, like: Option<&Scene>) -> Result<Scene> {
-        let file: SceneFile =
-            toml::from_str(source.text()).map_err(|error| source.explain(&error))?;
-        let resolver = Resolver {
+        let mut resolver = Resolver {
             source,
             path,
             watch,
         };
-        resolver.scene(file, like)
+        let solved = resolver.take_sensor()?;
+        let file: SceneFile = resolver.source.values()?;
+        resolver.scene(file, solved, like)
     }
 
     /// A box around the part, in its frame.
@@ -196,7 +220,12 @@ fn number<S: serde::Serializer>(
 
 impl Resolver<'_> {
     /// `like` is a scene with the same part.
-    fn scene(self, file: SceneFile, like: Option<&Scene>) -> Result<Scene> {
+    fn scene(
+        self,
+        file: SceneFile,
+        sensor: Vec<SolvedValue>,
+        like: Option<&Scene>,
+    ) -> Result<Scene> {
         let (mesh, mesh_hash, mesh_unit) = match like {
             Some(scene) => (scene.mesh.clone(), Vec::from(&*scene.hash), scene.mesh_unit),
             None => {
@@ -212,12 +241,14 @@ impl Resolver<'_> {
         let (copies, copies_hash) = self.copies(&file.part, like)?;
         let surface = self.surface(&file.part, file.laser.wavelength_nm)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
-        let camera = self.camera(&file.camera)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
-        let (scan, poses_hash) = self.scan(&file.scan, file.camera.exposure_ms)?;
+        let auto_exposure = self.auto_exposure(&file.camera)?;
+        let camera_from_laser = head_from_camera.inverse() * head_from_laser;
+        let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
+        let (scan, poses_hash) = self.scan(&file.scan, camera.sensor.exposure_ms)?;
         let polarised = surface.glossy().map_or(1.0, |glossy| {
             polarised(glossy, &head_from_laser, &head_from_camera)
         });
@@ -255,6 +286,8 @@ impl Resolver<'_> {
             head_from_laser,
             camera,
             head_from_camera,
+            auto_exposure,
+            sensor,
             measure: Measure {
                 finder: file.measure.peak,
                 choice: file.measure.choose,

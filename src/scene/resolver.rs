@@ -1,10 +1,14 @@
 //! What reading every table of a scene file takes: values checked, mistakes placed.
 
+use super::data_sheet::{DataSheet, Origin, SolvedValue, as_toml};
+use super::file::SensorFile;
 use super::locate::Source;
 use crate::error::{Error, Result, printable};
 use crate::math::DVec3;
 use crate::mesh::{self, Watch};
+use serde::Deserialize;
 use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
+use std::mem;
 use std::path::{Path, PathBuf};
 
 pub(super) struct Resolver<'a> {
@@ -13,7 +17,48 @@ pub(super) struct Resolver<'a> {
     pub(super) watch: &'a Watch<'a>,
 }
 
+/// What is read of a scene before the rest.
+#[derive(Deserialize)]
+struct Named {
+    sensor: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct Described {
+    data_sheet: Option<DataSheet>,
+}
+
 impl Resolver<'_> {
+    /// Lays the scene over the sensor it names, and both over what follows from a data sheet, which is given.
+    pub(super) fn take_sensor(&mut self) -> Result<Vec<SolvedValue>> {
+        let mut described_in = self.path.to_owned();
+        if let Some(name) = self.source.values::<Named>()?.sensor {
+            let what = "the file of a sensor (TOML)";
+            let file = self.file(&name, "sensor", what)?;
+            let sensor = Source::read(&file)?;
+            sensor.values::<SensorFile>()?;
+            self.source = mem::take(&mut self.source).over(&file, &sensor.text(), false);
+            described_in = file;
+        }
+        let Some(sheet) = self.source.values::<Described>()?.data_sheet else {
+            return Ok(Vec::new());
+        };
+        let solved = sheet
+            .solve()
+            .map_err(|(key, expected)| self.source.wrong(key, &expected))?;
+        let follows = |value: &&SolvedValue| value.origin != Origin::Assumed;
+        for SolvedValue { key, value, .. } in solved.iter().filter(follows) {
+            let expected = format!(
+                "nothing beside [data_sheet], from which it follows as {value}; leave one of the two out"
+            );
+            let beside = self.source.beside(key, "data_sheet");
+            self.check(!beside, key, &expected)?;
+        }
+        let text = as_toml(&solved);
+        self.source = mem::take(&mut self.source).over(&described_in, &text, true);
+        Ok(solved)
+    }
+
     pub(super) fn check(&self, holds: bool, key: &str, expected: &str) -> Result<()> {
         if holds {
             Ok(())

@@ -108,7 +108,8 @@ pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
 /// `chart.svg` and `chart.json` to `out`.
 pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) -> Result<Chart> {
     files::create_folder(out)?;
-    let tiers = Tiers::all(scene, ready::hierarchy_watched(scene, control)?)?;
+    let (scene, accel) = ready::hierarchy_watched(scene, control)?;
+    let tiers = Tiers::all(&scene, accel)?;
     let frames = spread_frames(scene.scan.frames, effort.frames);
     let one_core = rayon::ThreadPoolBuilder::new()
         .num_threads(1)

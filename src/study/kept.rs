@@ -33,7 +33,8 @@ pub struct Kept {
 /// Holds the plan of a scene with a tolerance against the full model, in those of `frames`
 /// that it was not made from, or in all of them if it was made from all.
 pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
-    let accel = Arc::new(hierarchy(scene, &|_| Ok(()))?);
+    let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
+    let (scene, accel) = (&*scene, Arc::new(accel));
     let plan = scene_plan_with(scene, &accel)?;
     let base = crate::run::simulation::plan(scene, &accel);
     let seen = plan.accuracy.as_ref().map(|a| a.pilot_frames.clone());

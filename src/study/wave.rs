@@ -267,7 +267,7 @@ pub fn reference_motions() -> usize {
 /// The scene's view of the surface on which the laser's axis falls, in the head's
 /// frame.
 fn patch_view(scene: &Scene, frame: u32, control: &Control) -> Result<SurfaceView> {
-    let accel = ready::hierarchy_watched(scene, control)?;
+    let (_, accel) = ready::hierarchy_watched(scene, control)?;
     let laser = scene.part_from_head(frame) * scene.head_from_laser;
     let ray = Ray {
         origin: laser.translation,

@@ -243,9 +243,11 @@ class Frames(unittest.TestCase):
             "while True:\n"
             "    c.any_hit(np.broadcast_to(np.ones(6), (5_000_000, 6)))\n"
         )
+        # A shell's background jobs ignore Ctrl-C, and so would Python in one.
+        hear = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         for program in [scan, build, cast]:
             run = subprocess.Popen(
-                [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+                [sys.executable, "-c", hear + program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
             )
             self.assertEqual(run.stdout.readline(), b"started\n")
             run.send_signal(signal.SIGINT)

@@ -1,0 +1,115 @@
+//! A sensor drawn to scale: laser, camera, what is measured, and the part in it.
+
+use super::sensor_figures::{Cuts, SensorFigures};
+use crate::report::axes::{Axes, Axis, Mark, legend};
+use crate::report::svg::Svg;
+
+const LIGHT: &str = "stroke='#c0392b' stroke-width='1.5'";
+const SIGHT: &str = "stroke='#2471a3' stroke-width='1.2'";
+const FIELD: &str = "fill='#1e8449' fill-opacity='0.15' stroke='#1e8449'";
+const PART: &str = "stroke='#222' stroke-width='2'";
+/// Greatest width and height of what is drawn, px.
+const ROOM: [f64; 2] = [1000.0, 620.0];
+const DISTANCE: &str = "from the laser along the beam, mm";
+
+/// Seen along the line and across it, both to one scale, as an SVG file.
+pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
+    let [near, far] = figures.ends();
+    let [_, eye_y, eye_z] = figures.camera_mm;
+    let finite = |cut: &[(f64, f64)]| {
+        cut.iter()
+            .copied()
+            .filter(|(_, z)| z.is_finite())
+            .collect::<Vec<_>>()
+    };
+    let [along, across] = [finite(&cuts.along_line), finite(&cuts.across_line)];
+    let deepest = along.iter().chain(&across).map(|&(_, z)| z);
+    // A part may be far deeper or wider than what is measured.
+    let bottom = deepest.fold(far, f64::max).min(far + (far - near)) + 0.05 * far;
+    let top = eye_z.min(0.0) - 0.03 * far;
+    let field = figures
+        .places
+        .iter()
+        .flat_map(|place| place.field_mm)
+        .fold(0.0, |most: f64, x| most.max(x.abs()));
+    let wide = |cut: &[(f64, f64)], least: f64| {
+        let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
+        1.1 * least.max(most.min(2.0 * least))
+    };
+    let line = wide(&along, field);
+    let side = wide(&across, 0.3 * far).max(0.0);
+    let beside = [(-side).min(1.15 * eye_y), side.max(1.15 * eye_y)];
+    let widths = [beside[1] - beside[0], 2.0 * line];
+    let scale = ((ROOM[0] - 60.0) / (widths[0] + widths[1])).min(ROOM[1] / (bottom - top));
+    let height = scale * (bottom - top);
+    let lefts = [70.0, 70.0 + scale * widths[0] + 80.0];
+    let mut svg = Svg::file([lefts[1] + scale * widths[1] + 30.0, height + 130.0], 12.0);
+    let axes = |left: f64, title, x, ends: [f64; 2]| Axes {
+        frame: [left, 50.0, scale * (ends[1] - ends[0]), height],
+        beyond: [0.0; 2],
+        title,
+        x: Axis::linear(x, ends),
+        y: Axis::linear(DISTANCE, [bottom, top]),
+    };
+
+    let seen = axes(lefts[0], "Along the line", "across the line, mm", beside);
+    seen.draw(&mut svg);
+    seen.curve(&mut svg, [(0.0, 0.0), (0.0, bottom)], LIGHT);
+    for end in [near, far] {
+        seen.curve(&mut svg, [(eye_y, eye_z), (0.0, end)], SIGHT);
+    }
+    let range = 0.004 * far;
+    seen.band(
+        &mut svg,
+        &[(-range, near), (range, near)],
+        &[(-range, far), (range, far)],
+        FIELD,
+    );
+    draw_cut(&seen, &mut svg, &cuts.across_line, beside, [top, bottom]);
+    Mark::Dot.draw(&mut svg, seen.at(0.0, 0.0), "fill='#c0392b'");
+    Mark::Dot.draw(&mut svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
+
+    let ends = [-line, line];
+    let front = axes(lefts[1], "Across the line", "along the line, mm", ends);
+    front.draw(&mut svg);
+    for side in [0, 1] {
+        let slopes = figures
+            .places
+            .iter()
+            .map(|place| place.field_mm[side] / place.distance_mm);
+        let widest = slopes.max_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let x = widest.map_or(0.0, |slope| slope * far);
+        front.curve(&mut svg, [(0.0, 0.0), (x, far)], LIGHT);
+    }
+    let side = |i: usize| {
+        figures
+            .places
+            .iter()
+            .map(move |place| (place.field_mm[i], place.distance_mm))
+    };
+    let [left, right] = [0, 1].map(|i| side(i).collect::<Vec<_>>());
+    front.band(&mut svg, &left, &right, FIELD);
+    draw_cut(&front, &mut svg, &cuts.along_line, ends, [top, bottom]);
+    Mark::Dot.draw(&mut svg, front.at(0.0, 0.0), "fill='#c0392b'");
+
+    let entries = [
+        (Mark::Line, LIGHT, "laser"),
+        (Mark::Line, SIGHT, "camera"),
+        (Mark::Area, FIELD, "measured"),
+        (Mark::Line, PART, "part, mid scan"),
+    ];
+    legend(&mut svg, [lefts[0], height + 115.0], [130.0, 0.0], &entries);
+    svg.finish()
+}
+
+/// A cut in its pieces, as far as they are in view.
+fn draw_cut(axes: &Axes, svg: &mut Svg, cut: &[(f64, f64)], x: [f64; 2], z: [f64; 2]) {
+    let inside =
+        |&(at, depth): &(f64, f64)| (x[0]..=x[1]).contains(&at) && (z[0]..=z[1]).contains(&depth);
+    for piece in cut
+        .split(|place| !inside(place))
+        .filter(|piece| piece.len() > 1)
+    {
+        axes.curve(svg, piece.iter().copied(), PART);
+    }
+}

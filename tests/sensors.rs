@@ -1,0 +1,219 @@
+//! Sensors in files of their own, written as data sheets: what was put in is what the sensor does.
+
+#![cfg(unix)]
+
+mod program;
+
+use lasertrace::run::{Checked, Control, check};
+use lasertrace::scene::Scene;
+use program::{folder_with, run};
+use quick_xml::events::Event;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+static STOP: AtomicBool = AtomicBool::new(false);
+
+fn sensors() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sensors");
+    let mut files: Vec<PathBuf> = fs::read_dir(folder)
+        .unwrap()
+        .map(|f| f.unwrap().path())
+        .filter(|f| f.extension().is_some_and(|kind| kind == "toml"))
+        .collect();
+    files.sort();
+    assert!(files.len() >= 4);
+    files
+}
+
+/// A scene of a plane in the middle of a sensor's range.
+fn scene_with(sensor: &str, more: &str) -> String {
+    format!(
+        "seed = 1\nspeckle = false\nsensor = {sensor:?}\n[part]\nplane = {{ size_mm = [900, 900] }}\nreflectance = 0.5\n\
+         [scan]\nframes = 1\nstep_mm = 1\ndirection = [0, 1, 0]\n{more}"
+    )
+}
+
+fn checked(scene: &Scene) -> Checked {
+    let control = Control {
+        progress: &|_| {},
+        building: None,
+        stop: &STOP,
+    };
+    check(scene, &control).unwrap()
+}
+
+/// Near and far field and the width of a pixel within 1 % of the sheet, the laser plane in focus to a tenth of a
+/// pixel's blur, the range on the sensor, and the auto-exposed line at half of full scale.
+#[test]
+fn a_sensor_does_what_its_sheet_says() {
+    for file in sensors() {
+        let name = file.display();
+        let sheet: toml::Table = fs::read_to_string(&file).unwrap().parse().unwrap();
+        let given = |key: &str| {
+            let value = &sheet["data_sheet"][key];
+            value
+                .as_float()
+                .unwrap_or_else(|| value.as_integer().unwrap() as f64)
+        };
+        let scene = Scene::parse(&scene_with(file.to_str().unwrap(), ""), "".as_ref()).unwrap();
+        let checked = checked(&scene);
+        assert_eq!(checked.warnings, [], "{name}");
+        let sensor = checked.sensor.unwrap();
+        let near = given("stand_off_mm");
+        let far = near + given("measuring_range_mm");
+        let [first, last] = sensor.ends();
+        assert!(first <= near && last >= far, "{name}: {first} {last}");
+        // A field grows evenly with distance, so any two places give that at a third.
+        let [a, b] = [sensor.places[0], sensor.places[8]];
+        let at = |distance: f64, of: &dyn Fn(&lasertrace::run::SensorPlace) -> f64| {
+            of(&a)
+                + (of(&b) - of(&a)) * (distance - a.distance_mm) / (b.distance_mm - a.distance_mm)
+        };
+        for (distance, key) in [(near, "field_near_mm"), (far, "field_far_mm")] {
+            let pixel = at(distance, &|p| p.um_per_px[0]) * given("points_per_profile") * 1e-3;
+            assert!(
+                (pixel / given(key) - 1.0).abs() < 0.01,
+                "{name} {key}: {pixel}"
+            );
+            let found = sensor.field_at(distance).unwrap();
+            assert!(
+                (found / given(key) - 1.0).abs() < 0.01,
+                "{name} {key}: {found}"
+            );
+        }
+        assert!(
+            sensor.places.iter().all(|place| place.blur_px < 0.1),
+            "{name}"
+        );
+        assert!(
+            (sensor.triangulation_deg - given("triangulation_deg")).abs() < 1.0,
+            "{name}"
+        );
+        let light = sensor.light.unwrap();
+        assert!(
+            (light.bright / light.full_scale - 0.5).abs() < 0.01,
+            "{name}: {light:?}"
+        );
+    }
+}
+
+/// What the scene says of laser and camera is laid over the sensor's, key by key, and over one of two keys for one thing.
+#[test]
+fn a_scene_lays_its_values_over_the_sensors() {
+    let file = &sensors()[0];
+    let file = file.to_str().unwrap();
+    let more = "[laser]\npower_mw = 3\n[camera]\nexposure_ms = 0.25\n[data_sheet]\nf_number = 11\n";
+    let scene = Scene::parse(&scene_with(file, more), "".as_ref()).unwrap();
+    assert_eq!(scene.laser.beam.power_mw, 3.0);
+    assert_eq!(scene.camera.sensor.exposure_ms, 0.25);
+    assert_eq!(scene.camera.lens.f_number, 11.0);
+    let plain = Scene::parse(&scene_with(file, ""), "".as_ref()).unwrap();
+    assert_eq!(
+        plain.camera.lens.focal_length,
+        scene.camera.lens.focal_length
+    );
+}
+
+#[test]
+fn a_mistake_is_said_with_the_file_it_is_in() {
+    let folder = folder_with(&scene_with("sensor.toml", ""));
+    let path = folder.path();
+    let good = fs::read_to_string(&sensors()[0]).unwrap();
+    let said = |sensor: &str| {
+        fs::write(path.join("sensor.toml"), sensor).unwrap();
+        let (code, _, stderr) = run(path, &["check", "scene.toml"]);
+        assert_eq!(code, 65, "{stderr}");
+        stderr
+    };
+    for (change, to, words) in [
+        (
+            "field_far_mm = 118",
+            "field_far_mm = 60",
+            "sensor.toml:7: data_sheet.field_far_mm: found 60, expected more than field_near_mm = 82",
+        ),
+        (
+            "field_far_mm = 118",
+            "field_far_mm = \"x\"",
+            "sensor.toml:7: data_sheet.field_far_mm: found \"x\", expected a number",
+        ),
+        (
+            "field_far_mm = 118\n",
+            "",
+            "sensor.toml:3: data_sheet.field_far_mm is missing, expected field_far_mm = ... in [data_sheet]",
+        ),
+        (
+            "f_number = 8",
+            "f_numer = 8",
+            "data_sheet.f_numer: found a key that [data_sheet] does not have",
+        ),
+        (
+            "pixel_pitch_um",
+            "[part]\npixel_pitch_um",
+            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser or camera",
+        ),
+        (
+            "pixel_pitch_um = 5.5",
+            "[camera]\nfocal_length_mm = 16",
+            "sensor.toml:14: camera.focal_length_mm: found 16, expected nothing beside [data_sheet], from which it follows as",
+        ),
+        (
+            "pixel_pitch_um = 5.5",
+            "[camera]\nbit_depth = 3",
+            "sensor.toml:14: camera.bit_depth: found 3, expected from 8 to 16",
+        ),
+        (
+            "pixel_pitch_um = 5.5",
+            "[camera]\nbit_depth = 8\nread_noise = 3",
+            "sensor.toml:15: camera.read_noise: found a key that [camera] does not have",
+        ),
+    ] {
+        assert!(good.contains(change));
+        let said = said(&good.replace(change, to));
+        assert!(said.contains(words), "{to}: {said}");
+    }
+    fs::remove_file(path.join("sensor.toml")).unwrap();
+    let (code, _, stderr) = run(path, &["check", "scene.toml"]);
+    assert!(
+        code == 65
+            && stderr.contains(
+                "scene.toml:3: sensor: found \"sensor.toml\", expected the file of a sensor"
+            ),
+        "{stderr}"
+    );
+}
+
+/// The page of `check` and its drawing, and the schema for editors.
+#[test]
+fn check_shows_the_sensor() {
+    let file = &sensors()[1];
+    let folder = folder_with(&scene_with(file.to_str().unwrap(), ""));
+    let (code, said, stderr) = run(folder.path(), &["check", "scene.toml", "-o", "out"]);
+    assert_eq!(code, 0, "{stderr}");
+    for words in [
+        "The sensor on a page",
+        "stand-off",
+        "ASSUMED",
+        "The whole laser plane is in focus",
+    ] {
+        assert!(said.contains(words), "{said}");
+    }
+    let svg = fs::read_to_string(folder.path().join("out/sensor.svg")).unwrap();
+    assert!(svg.contains("</svg>") && !svg.contains("NaN"));
+    let mut reader = quick_xml::Reader::from_str(&svg);
+    loop {
+        match reader.read_event().unwrap() {
+            Event::Start(tag) | Event::Empty(tag) => {
+                // An attribute given twice is an error.
+                for attribute in tag.attributes() {
+                    attribute.unwrap();
+                }
+            }
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    let (_, schema, _) = run(folder.path(), &["schema", "--sensor"]);
+    let schema: serde_json::Value = serde_json::from_str(&schema).unwrap();
+    assert_eq!(schema["title"], "lasertrace sensor");
+}
