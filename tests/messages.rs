@@ -336,7 +336,7 @@ fn check_prints_a_page_to_read_and_json_only_if_asked() {
     let (_, json, _) = run(folder.path(), &["check", "scene.toml", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["warnings"], serde_json::json!([]));
-    assert!(json["measuring_range"]["near_mm"].is_f64());
+    assert!(json["sensor"]["places"][0]["distance_mm"].is_f64());
 }
 
 /// A mistake on the command line is an object too.
