@@ -14,7 +14,7 @@ pub fn run(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_lasertrace"))
         .current_dir(folder)
         .args(arguments)
-        .timeout(Duration::from_secs(60))
+        .timeout(Duration::from_secs(300))
         .output()
         .unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
