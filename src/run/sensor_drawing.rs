@@ -52,7 +52,7 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         y: Axis::linear(DISTANCE, [bottom, top]),
     };
 
-    let seen = axes(lefts[0], "Along the line", "across the line, mm", beside);
+    let seen = axes(lefts[0], "Seen along the line", "across the line, mm", beside);
     seen.draw(&mut svg);
     seen.curve(&mut svg, [(0.0, 0.0), (0.0, bottom)], LIGHT);
     for end in [near, far] {
@@ -70,7 +70,7 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     Mark::Dot.draw(&mut svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
 
     let ends = [-line, line];
-    let front = axes(lefts[1], "Across the line", "along the line, mm", ends);
+    let front = axes(lefts[1], "Seen across the line", "along the line, mm", ends);
     front.draw(&mut svg);
     for side in [0, 1] {
         let slopes = figures
