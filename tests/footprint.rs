@@ -149,7 +149,7 @@ impl<'m> Part<'m> {
     fn compare(&self, setup: &Setup) -> (bool, usize) {
         let view = View {
             accel: &self.accel,
-            surface: self.surface.clone(),
+            surface: self.surface.clone().into(),
             laser: &setup.laser,
             part_from_laser: setup.part_from_laser,
             camera: &setup.camera,

@@ -73,7 +73,7 @@ impl Setup {
         let looking = |from: DVec3| Rigid::from_z_and_x(from, -from, DVec3::X).unwrap();
         let view = View {
             accel: &accel,
-            surface: surface.clone(),
+            surface: surface.clone().into(),
             laser: &self.laser,
             part_from_laser: looking(DVec3::Z * 150.0),
             camera: &self.camera,

@@ -3,7 +3,7 @@ use crate::run;
 use crate::run::Control;
 
 use crate::camera::Camera;
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
 use crate::plan::rules::Effect;
@@ -118,7 +118,19 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
         let copies = scene.copies.len();
         text += &line("copies", &format!("{copies}, together {x} × {y} × {z} mm"));
     }
-    text + &surface(&scene.surface)
+    let kinds = scene.surface.kinds().iter();
+    let counts = scene.surface.counts(mesh.triangles);
+    for (kind, count) in kinds.zip(counts) {
+        if scene.surface.kinds().len() > 1 {
+            let name = kind
+                .name
+                .as_deref()
+                .map_or("all others".to_owned(), printable::short);
+            text += &line("triangles", &format!("{count} of {name}, whose surface is"));
+        }
+        text += &surface(&kind.surface);
+    }
+    text
 }
 
 fn surface(surface: &Surface) -> String {

@@ -14,7 +14,7 @@ use super::light::Light;
 use super::pixels::{Pixels, Rows};
 use super::pupil::Pupil;
 use super::reference::Seen;
-use super::speckle::Reader;
+use super::speckle::{Reader, power};
 use super::transform::{Band, Drawn, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use rayon::prelude::*;
@@ -59,24 +59,44 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
     let side = light.nodes.transformed();
     let Some(speckle) = speckle.filter(|_| view.lens.blur == Blur::Coherent) else {
         let image = [Drawn::at(0.0, 0.0, side)];
-        let spread = |tile: &Tile| tile.spread(&light, &image);
-        let parts: Vec<_> = tiles.par_iter().map(spread).collect();
-        let mut means = vec![0.0; rows.total()];
-        sum_of(&tiles, &parts, &rows, &mut means, |sums, mean| {
-            mean[0] = sums[0].re.max(0.0);
-        });
+        let means = |light: &Light| {
+            let spread = |tile: &Tile| tile.spread(light, &image);
+            let parts: Vec<_> = tiles.par_iter().map(spread).collect();
+            let mut means = vec![0.0; rows.total()];
+            sum_of(&tiles, &parts, &rows, &mut means, |sums, mean| {
+                mean[0] = sums[0].re.max(0.0);
+            });
+            means
+        };
+        let mut light = light;
+        let all = means(&light);
         if speckle.is_none() {
             return Light::spread(
                 rows,
                 Nodes::new(Grid::Even { per_side: 1 }),
-                means,
+                all,
                 Vec::new(),
             );
         }
         let seen = seen_nearest(&light, &rows, beyond as usize);
         let nodes = Nodes::new(view.grid);
-        let irradiance = within_pixels(&means, &rows, &nodes);
-        return Light::spread(rows, nodes, irradiance, seen);
+        let irradiance = within_pixels(&all, &rows, &nodes);
+        let mut polarised = Vec::new();
+        if !light.polarised.is_empty() {
+            // The lens spreads what is polarised with the rest.
+            let each = light.irradiance.iter_mut().zip(&light.polarised);
+            each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
+            let degrees = means(&light).into_iter().zip(&all);
+            let count = nodes.places().len();
+            polarised.extend(degrees.flat_map(|(kept, &all)| {
+                let degree = (kept / all).clamp(0.0, 1.0);
+                std::iter::repeat_n(if degree.is_nan() { 0.0 } else { degree }, count)
+            }));
+        }
+        return Light {
+            polarised,
+            ..Light::spread(rows, nodes, irradiance, seen)
+        };
     };
     let nodes = Nodes::new(defocus::grid_behind(view));
     let images: Vec<Drawn> = nodes
@@ -89,7 +109,10 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
     let wider = speckle.wider.unwrap_or(1.0) as f32;
     let mut irradiance = vec![0.0; nodes.places().len() * rows.total()];
     for (pattern, weight) in reader.weights().into_iter().enumerate() {
-        let field = |sample: &Sample| reader.amplitude(pattern, sample.place, sample.seen) * wider;
+        let field = |sample: &Sample| {
+            let amplitude = reader.amplitude(pattern, sample.place, sample.seen);
+            amplitude * wider * power(pattern, sample.polarised).sqrt()
+        };
         let spread = |tile: &Tile| tile.spread_field(&light, &images, field);
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         sum_of(&tiles, &parts, &rows, &mut irradiance, |sums, values| {
@@ -248,6 +271,8 @@ struct Sample {
     place: DVec2,
     seen: Seen,
     irradiance: f32,
+    /// Degree of polarisation, where the light has several; else 0.
+    polarised: f32,
     /// The layer's share of it.
     share: f32,
 }
@@ -388,6 +413,7 @@ impl Tile {
                         seen: (light.seen(pixel.number).get(i).copied()).unwrap_or_default(),
                         // The mean over what is transformed as one.
                         irradiance: irradiance * weight * (side * side) as f32,
+                        polarised: (light.polarised(pixel.number).get(i).copied()).unwrap_or(0.0),
                         share: share as f32,
                     };
                     layers[first].push(sample(1.0 - second));

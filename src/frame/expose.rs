@@ -80,6 +80,17 @@ fn exposed(
     let sum: f32x4 = match reader {
         None => fours.map(weighted).sum(),
         Some(_) if samples.iter().all(|&irradiance| irradiance == 0.0) => return 0.0,
+        Some((reader, column, row)) if !light.polarised(pixel).is_empty() => {
+            let (middle, seen) = (middle(column, row), light.seen(pixel));
+            let of = (light.nodes.places().iter()).zip(light.nodes.weights());
+            let of = of.zip(samples.iter().zip(light.polarised(pixel)));
+            let read = |(i, ((place, weight), (irradiance, &polarised)))| {
+                let seen = seen.get(i).or(seen.first()).copied().unwrap_or_default();
+                let speckle = reader.intensity_of(middle + place, seen, polarised);
+                weight * irradiance * speckle
+            };
+            return of.enumerate().map(read).sum();
+        }
         Some((reader, column, row)) if samples.iter().all(|&irradiance| irradiance < faint) => {
             let seen = light.seen(pixel).first().copied().unwrap_or_default();
             let speckle = reader.intensity(middle(column, row), seen) as f32;

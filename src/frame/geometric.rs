@@ -331,7 +331,7 @@ impl<'a> Frame<'a> {
         let faces = sight.direction.dot(hit.normal) > 0.0 && received > 0.0;
         let towards_light = -light.flux.normalize_or_zero();
         let towards_light = self.view.part_from_laser.vector(towards_light);
-        let surface = &self.view.surface;
+        let surface = self.view.surface.of(hit.face.triangle);
         let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, sight.direction);
         let point = LinePoint {
             column: target.column as u32,

@@ -45,9 +45,8 @@ fn rule(aperture: Aperture, n: usize) -> Vec<(DVec2, f64)> {
 }
 
 impl<'a> Gloss<'a> {
-    /// `None`: the surface is Lambert's.
-    pub fn new(view: &'a View<'a>, skewed: bool) -> Option<Gloss<'a>> {
-        let surface = view.surface.glossy()?;
+    /// `skewed`: whether it matters where in the pupil light passes.
+    pub fn new(view: &'a View<'a>, surface: &'a Glossy, skewed: bool) -> Gloss<'a> {
         let lens = &view.camera.lens;
         let radius = lens.pupil_diameter() / 2.0;
         let eye = view.part_from_camera.translation;
@@ -66,7 +65,7 @@ impl<'a> Gloss<'a> {
             let off = axes.x_axis * u.x + axes.y_axis * u.y;
             (eye + off * radius, u, share)
         };
-        Some(Gloss {
+        Gloss {
             view,
             surface,
             pupil: rule(lens.aperture, nodes.min(MOST))
@@ -74,7 +73,7 @@ impl<'a> Gloss<'a> {
                 .map(point)
                 .collect(),
             laser_from_camera: view.part_from_laser.inverse() * view.part_from_camera,
-        })
+        }
     }
 
     /// Mean of the BRDF over the pupil, 1/sr; vectors of the part's frame.

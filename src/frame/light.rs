@@ -5,7 +5,6 @@
 use super::View;
 use super::defocus::{self, Spread};
 use super::flat::Profile;
-use super::gloss::Gloss;
 use super::grid::Nodes;
 use super::irradiance::Irradiance;
 use super::pixels::{Pixels, Rows, SIDE, middle};
@@ -49,6 +48,8 @@ pub struct Light {
     pub(super) blur: Vec<f32>,
     /// By how many columns and rows [`super::skew`](super::skew()) moves each; empty where nothing is.
     pub(super) skew: Vec<[f32; 2]>,
+    /// Degree of polarisation of each; empty where all light has the same.
+    pub(super) polarised: Vec<f32>,
 }
 
 impl Light {
@@ -62,6 +63,14 @@ impl Light {
     pub(super) fn seen(&self, pixel: usize) -> &[Seen] {
         let count = self.surface.len() / self.rows.total().max(1);
         self.surface
+            .get(count * pixel..count * (pixel + 1))
+            .unwrap_or(&[])
+    }
+
+    /// Degrees of polarisation of its samples; empty where all light has the same.
+    pub(super) fn polarised(&self, pixel: usize) -> &[f32] {
+        let count = self.nodes.places().len();
+        self.polarised
             .get(count * pixel..count * (pixel + 1))
             .unwrap_or(&[])
     }
@@ -86,6 +95,7 @@ impl Light {
             surface,
             blur: Vec::new(),
             skew: Vec::new(),
+            polarised: Vec::new(),
         }
     }
 
@@ -115,6 +125,14 @@ impl Light {
         let mut irradiance = vec![0.0; count * rows.total()];
         let of_surface = self.surface.len() / self.rows.total().max(1);
         let mut surface = vec![Seen::default(); rows.total() * of_surface];
+        let mut polarised = vec![
+            0.0;
+            if self.polarised.is_empty() {
+                0
+            } else {
+                irradiance.len()
+            }
+        ];
         for row in 0..rows.pixels.rows {
             let mut direct = self
                 .rows
@@ -131,6 +149,9 @@ impl Light {
                         let seen = of_surface * pixel..of_surface * (pixel + 1);
                         surface[seen].copy_from_slice(self.seen(from));
                     }
+                    if !polarised.is_empty() {
+                        polarised[samples.clone()].copy_from_slice(self.polarised(from));
+                    }
                 }
                 if let Some((_, e)) = more.next_if(|&(c, _)| c == column) {
                     irradiance[samples]
@@ -143,6 +164,7 @@ impl Light {
             rows,
             irradiance,
             surface,
+            polarised,
             ..self
         }
     }
@@ -171,12 +193,16 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
     let mut surface = vec![Seen::default(); of_surface * frame.rows.total()];
     let of_blur = count * usize::from(frame.spread.is_some());
     let mut blur = vec![0.0; of_blur * frame.rows.total()];
-    let skewed = frame.spread.is_some() && frame.rays.gloss.is_some();
+    let skewed = frame.spread.is_some() && frame.rays.is_glossy();
     let of_skew = count * usize::from(skewed);
     let mut skew = vec![[0.0; 2]; of_skew * frame.rows.total()];
+    let of_polarised =
+        count * usize::from(speckle.is_some() && view.surface.polarisation_differs());
+    let mut polarised = vec![0.0; of_polarised * frame.rows.total()];
     let mut tasks = Vec::new();
     let (mut irradiance_left, mut surface_left) = (&mut irradiance[..], &mut surface[..]);
     let (mut blur_left, mut skew_left) = (&mut blur[..], &mut skew[..]);
+    let mut polarised_left = &mut polarised[..];
     for first in (0..frame.rows.pixels.bands()).step_by(BANDS_PER_TASK) {
         let rows = frame.rows_of(first);
         let pixels = frame.rows.range(rows.start).start..frame.rows.start(rows.end);
@@ -186,6 +212,8 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
         let (my_skew, other_skew) = skew_left.split_at_mut(of_skew * pixels.len());
         (irradiance_left, surface_left) = (others, other_surface);
         (blur_left, skew_left) = (other_blur, other_skew);
+        let my_polarised;
+        (my_polarised, polarised_left) = polarised_left.split_at_mut(of_polarised * pixels.len());
         tasks.push(Task {
             first_band: first,
             first_pixel: pixels.start,
@@ -193,6 +221,7 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
             surface: my_surface,
             blur: my_blur,
             skew: my_skew,
+            polarised: my_polarised,
         });
     }
     tasks
@@ -203,6 +232,7 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
         surface,
         blur,
         skew,
+        polarised,
         rows: frame.rows,
         nodes: frame.nodes,
     }
@@ -218,6 +248,7 @@ struct Task<'a> {
     surface: &'a mut [Seen],
     blur: &'a mut [f32],
     skew: &'a mut [[f32; 2]],
+    polarised: &'a mut [f32],
 }
 
 /// A view with what its pixels share computed once.
@@ -311,8 +342,11 @@ impl Frame<'_> {
         let alike = match around {
             0 => wanted,
             _ => {
-                let turn = self.rays.gloss.as_ref().map(Gloss::constant_turn);
-                window.alike(band, first, size, wanted, turn)
+                let alike = window.alike(band, first, size, wanted, self.rays.constant_turn());
+                match self.rays.are_mixed() {
+                    true => window.of_one_kind(band, first, size, alike),
+                    false => alike,
+                }
             }
         };
         let pixels: [Pixel; WIDTH] = std::array::from_fn(|i| {
@@ -355,7 +389,10 @@ impl Frame<'_> {
         if let Some(spread) = &self.spread {
             task.blur[own.clone()].fill(spread.blur(&self.rays.from_laser, pixel.centre, plane));
         }
-        if let (Some(gloss), false) = (&self.rays.gloss, task.skew.is_empty()) {
+        if !task.polarised.is_empty() {
+            task.polarised[own.clone()].fill(self.rays.polarised(plane));
+        }
+        if let (Some(gloss), false) = (self.rays.gloss(plane), task.skew.is_empty()) {
             task.skew[own].fill(gloss.skew(pixel.centre, [plane.point, plane.normal]));
         }
         true
@@ -431,7 +468,10 @@ impl Frame<'_> {
                         task.blur[sample] =
                             spread.blur(&self.rays.from_laser, places[ray - first], plane);
                     }
-                    if let (Some(gloss), false) = (&self.rays.gloss, task.skew.is_empty()) {
+                    if !task.polarised.is_empty() {
+                        task.polarised[sample] = self.rays.polarised(plane);
+                    }
+                    if let (Some(gloss), false) = (self.rays.gloss(plane), task.skew.is_empty()) {
                         task.skew[sample] =
                             gloss.skew(places[ray - first], [plane.point, plane.normal]);
                     }

@@ -57,7 +57,7 @@ use crate::camera::{Camera, Counts};
 use crate::laser::Laser;
 use crate::math::Rigid;
 use crate::math::rng::Key;
-use crate::surface::Surface;
+use crate::surface::Surfaces;
 
 /// Everything one pose of the sensor depends on, in the part's frame.
 #[derive(Clone)]
@@ -65,7 +65,7 @@ pub struct View<'a> {
     /// Rays against the part.
     pub accel: &'a Accel,
     /// How the part scatters light.
-    pub surface: Surface,
+    pub surface: Surfaces,
     /// The source of light.
     pub laser: &'a Laser,
     /// Where the laser stands.

@@ -7,7 +7,7 @@ use super::sight::Sight;
 use crate::accel::{Hit, Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
-use crate::surface::Surface;
+use crate::surface::{Kind, Surface};
 use smallvec::SmallVec;
 
 /// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
@@ -35,7 +35,9 @@ pub(super) struct Plane {
     pub point: DVec3,
     pub normal: DVec3,
     /// Greatest distance (mm) from it of neighbours that count as on it.
-    pub tolerance: f64,
+    pub tolerance: f32,
+    /// Number of the surface's kind.
+    pub kind: u32,
 }
 
 /// Lit surface that a ray meets.
@@ -59,6 +61,28 @@ impl Lit {
 /// Up to a packet of rays.
 pub(super) type Rays = SmallVec<[Ray; WIDTH]>;
 
+/// A kind of surface.
+struct Scatters<'a> {
+    /// BRDF of one that is Lambert's, 1/sr.
+    matt: f64,
+    /// Of one that is not.
+    gloss: Option<Gloss<'a>>,
+    polarised: f32,
+}
+
+impl<'a> Scatters<'a> {
+    fn new(view: &'a View<'a>, kind: &'a Kind, skewed: bool) -> Scatters<'a> {
+        Scatters {
+            matt: match &kind.surface {
+                Surface::Lambert(lambert) => lambert.bsdf(),
+                Surface::Glossy(_) => 0.0,
+            },
+            gloss: (kind.surface.glossy()).map(|glossy| Gloss::new(view, glossy, skewed)),
+            polarised: kind.polarised as f32,
+        }
+    }
+}
+
 /// A view's rays.
 pub(super) struct LitRays<'a> {
     pub view: &'a View<'a>,
@@ -66,10 +90,8 @@ pub(super) struct LitRays<'a> {
     /// The same in the laser's frame.
     pub from_laser: Sight,
     laser_from_part: Rigid,
-    /// BRDF of a surface that is Lambert's, 1/sr.
-    matt: f64,
-    /// Of one that is not.
-    pub gloss: Option<Gloss<'a>>,
+    /// The kinds of surface.
+    kinds: Vec<Scatters<'a>>,
     /// Normal of the laser's sheet.
     across: DVec3,
     /// Hits higher than this over the sheet (mm) are as if nothing were hit: dark,
@@ -93,14 +115,39 @@ impl<'a> LitRays<'a> {
             sight,
             from_laser: Sight::new(view.camera, &laser_from_camera),
             laser_from_part,
-            matt: match &view.surface {
-                Surface::Lambert(lambert) => lambert.bsdf(),
-                Surface::Glossy(_) => 0.0,
-            },
-            gloss: Gloss::new(view, skewed),
+            kinds: (view.surface.kinds().iter())
+                .map(|kind| Scatters::new(view, kind, skewed))
+                .collect(),
             across: view.part_from_laser.rotation.y_axis,
             far: 2.0 * widest.y + view.accel.refinement(),
         }
+    }
+
+    /// The surface there, unless it is Lambert's.
+    #[inline(always)]
+    pub fn gloss(&self, plane: &Plane) -> Option<&Gloss<'a>> {
+        self.kinds[plane.kind as usize].gloss.as_ref()
+    }
+
+    /// Degree of polarisation of the light from there.
+    pub fn polarised(&self, plane: &Plane) -> f32 {
+        self.kinds[plane.kind as usize].polarised
+    }
+
+    /// Whether there are several kinds of surface.
+    pub fn are_mixed(&self) -> bool {
+        self.kinds.len() > 1
+    }
+
+    /// Whether some surface is not Lambert's.
+    pub fn is_glossy(&self) -> bool {
+        self.kinds.iter().any(|kind| kind.gloss.is_some())
+    }
+
+    /// Greatest difference of unit normals over which all surfaces are the same; `None`: any.
+    pub fn constant_turn(&self) -> Option<f32> {
+        let glossy = self.kinds.iter().filter_map(|kind| kind.gloss.as_ref());
+        glossy.map(Gloss::constant_turn).reduce(f32::min)
     }
 
     /// Whether over a pixel, within which a plane is seen to move by `moves` (laser's frame, mm) as
@@ -116,7 +163,7 @@ impl<'a> LitRays<'a> {
         let limit = self.view.laser.constant_angle();
         let along = moves.map(|step| step.x.abs());
         let even = limit == f64::INFINITY || along[0].max(along[1]) <= limit * plane.point.z;
-        even && self.gloss.as_ref().is_none_or(|gloss| {
+        even && self.gloss(plane).is_none_or(|gloss| {
             let turns = steps.map(|step| step.length() / direction.length());
             gloss.is_constant_over([plane.point, plane.normal], moves, turns)
         })
@@ -206,7 +253,8 @@ impl<'a> LitRays<'a> {
         let plane = Plane {
             point,
             normal,
-            tolerance: PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs(),
+            tolerance: (PLANE_TOLERANCE * radius * direction.dot(hit.normal).abs()) as f32,
+            kind: self.view.surface.number(hit.face.triangle) as u32,
         };
         let Some(section) = section else {
             return (Met::Unlit(plane), None);
@@ -225,8 +273,9 @@ impl<'a> LitRays<'a> {
         let Some(shadow_ray) = shadow_ray else {
             return (Met::Unlit(plane), None);
         };
-        let bsdf = match &self.gloss {
-            None => self.matt,
+        let kind = &self.kinds[plane.kind as usize];
+        let bsdf = match &kind.gloss {
+            None => kind.matt,
             Some(gloss) => {
                 let flux = section.flux.normalize_or_zero();
                 let towards_light = -self.view.part_from_laser.vector(flux);

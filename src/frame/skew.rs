@@ -37,6 +37,14 @@ pub fn skew(light: Light) -> Light {
     let samples = side * side * rows.total();
     let (mut irradiance, mut blur) = (vec![0.0; samples], vec![0.0; samples]);
     let mut brightest = vec![0.0; samples];
+    let mut polarised = vec![
+        0.0;
+        if light.polarised.is_empty() {
+            0
+        } else {
+            samples
+        }
+    ];
     let mut surface = vec![Seen::default(); if light.surface.is_empty() { 0 } else { samples }];
     for part in moved {
         let [x, y] = part.to;
@@ -45,6 +53,9 @@ pub fn skew(light: Light) -> Light {
         let to = side * side * row[at].1 + y % side * side + x % side;
         irradiance[to] += part.irradiance;
         blur[to] += part.irradiance * light.blur[part.from];
+        if let Some(polarised) = polarised.get_mut(to) {
+            *polarised += part.irradiance * light.polarised[part.from];
+        }
         if let Some(seen) = surface.get_mut(to)
             && part.irradiance > brightest[to]
         {
@@ -52,9 +63,11 @@ pub fn skew(light: Light) -> Light {
             brightest[to] = part.irradiance;
         }
     }
-    for (blur, &irradiance) in blur.iter_mut().zip(&irradiance) {
-        if irradiance > 0.0 {
-            *blur /= irradiance;
+    for means in [&mut blur, &mut polarised] {
+        for (mean, &irradiance) in means.iter_mut().zip(&irradiance) {
+            if irradiance > 0.0 {
+                *mean /= irradiance;
+            }
         }
     }
     Light {
@@ -63,6 +76,7 @@ pub fn skew(light: Light) -> Light {
         surface,
         blur,
         skew: Vec::new(),
+        polarised,
         ..light
     }
 }

@@ -59,7 +59,17 @@ impl Patterns<'_> {
     }
 }
 
-const NO_FIELD: &str = "a plan with a coherent lens has speckle by field";
+const NO_FIELD: &str =
+    "a plan with a coherent lens, or surfaces of different polarisation, has speckle by field";
+
+/// Power of one of the independent patterns in light of this degree of polarisation, over that in unpolarised
+/// light: they are pairs of one polarisation and the other (Goodman 2007, section 3.4).
+pub(super) fn power(pattern: usize, polarised: f32) -> f32 {
+    match pattern.is_multiple_of(2) {
+        true => 1.0 + polarised,
+        false => 1.0 - polarised,
+    }
+}
 
 /// A frame's speckle, ready to be read.
 pub(super) struct Reader<'a> {
@@ -125,6 +135,28 @@ impl<'a> Reader<'a> {
             }),
         };
         intensity as f64
+    }
+
+    /// The same of light of this degree of polarisation, of patterns made for unpolarised light.
+    pub fn intensity_of(&self, place: DVec2, seen: Seen, polarised: f32) -> f32 {
+        let sum = |weights: &mut dyn Iterator<Item = f32>, field: &dyn Fn(usize) -> Complex32| {
+            let pattern = |(k, weight)| weight * power(k, polarised) * field(k).norm_sqr();
+            weights.enumerate().map(pattern).sum()
+        };
+        match &self.source {
+            Source::Frame(field) => {
+                let at = self.at(place);
+                sum(&mut field.weights(), &|k| field.amplitude_of(k, at))
+            }
+            // What sees nothing lit has no light.
+            Source::Strips { .. } if seen == Seen::default() => 0.0,
+            Source::Strips { field, references } => {
+                let cosines = references.cosines(place, seen);
+                let at = [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i]);
+                sum(&mut field.weights(), &|k| field.amplitude_of(k, at))
+            }
+            Source::Ring { .. } => unreachable!("{NO_FIELD}"),
+        }
     }
 
     /// Weights of the independent patterns of a frame's own field.

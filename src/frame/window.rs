@@ -80,6 +80,30 @@ impl Window {
     }
 }
 
+impl Window {
+    /// Which pixels of a tile see one kind of surface with the eight around each, of those `wanted`, as bits; see
+    /// [`Window::alike`].
+    pub fn of_one_kind(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
+        let kind = |column: usize, row: usize| {
+            let tile = self.bands[row / SIDE % BANDS].tile(column / SIDE)?;
+            let plane = tile[row % SIDE * SIDE + column % SIDE].plane()?;
+            Some(plane.kind)
+        };
+        let near = |at: usize, most: usize| at.saturating_sub(1)..=(at + 1).min(most - 1);
+        let [columns, rows] = size;
+        let mut alike = 0;
+        for pixel in (0..WIDTH).filter(|pixel| wanted >> pixel & 1 == 1) {
+            let (column, row) = (first + pixel % SIDE, SIDE * band + pixel / SIDE);
+            let around = near(row, rows)
+                .flat_map(|row| near(column, columns).map(move |column| (column, row)));
+            let mut kinds = around.filter_map(|(column, row)| kind(column, row));
+            let one = kinds.next();
+            alike |= u16::from(kinds.all(|kind| Some(kind) == one)) << pixel;
+        }
+        alike
+    }
+}
+
 impl Met {
     fn plane(&self) -> Option<&Plane> {
         match self {
@@ -153,7 +177,7 @@ impl Around {
                 self.points[axis][cell] = point[axis];
                 self.normals[axis][cell] = normal[axis];
             }
-            self.tolerances[cell] = plane.tolerance as f32;
+            self.tolerances[cell] = plane.tolerance;
         }
     }
 

@@ -1,9 +1,10 @@
 //! glTF 2.0, as JSON or binary (GLB): the triangles of the file's default scene, or of its first.
 //!
-//! Axes stay as they are in the file, whose y axis points up. Lines, points, materials, skins and
-//! animations are passed over; triangles of a node that mirrors are turned, as the format says. What
+//! Axes stay as they are in the file, whose y axis points up. Triangles have the names of their materials. Lines,
+//! points, skins, animations and what else materials say are passed over; triangles of a node that mirrors are turned, as the format says. What
 //! needs an extension is refused, and so are sparse and quantized positions.
 
+use super::groups::{Groups, NONE, Namer};
 use super::text::quote;
 use super::{Mesh, Source, memory};
 use crate::error::{Error, Place, printable};
@@ -46,6 +47,8 @@ struct Document {
     nodes: Vec<Node>,
     #[serde(default)]
     meshes: Vec<OfMesh>,
+    #[serde(default)]
+    materials: Vec<Material>,
     #[serde(default)]
     accessors: Vec<Accessor>,
     #[serde(default)]
@@ -96,7 +99,13 @@ struct OfMesh {
 }
 
 #[derive(Deserialize)]
+struct Material {
+    name: Option<String>,
+}
+
+#[derive(Deserialize)]
 struct Primitive {
+    material: Option<usize>,
     attributes: Attributes,
     indices: Option<usize>,
     mode: Option<u32>,
@@ -137,7 +146,7 @@ struct Buffer {
     uri: Option<String>,
 }
 
-pub fn read(source: &Source) -> Result<Mesh, Error> {
+pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
     let (text, binary) = chunks(source)?;
     let document: Document = serde_json::from_slice(text)
         .map_err(|error| source.error(Place::File, error.to_string(), WHOLE))?;
@@ -161,10 +170,16 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     };
     let placed = file.placed()?;
     let (mut positions, mut triangles) = (Vec::new(), Vec::new());
+    let mut namer = Namer::default();
     for (primitive, part_from_node) in placed {
+        let material = primitive.material.and_then(|i| document.materials.get(i));
+        let name = material.and_then(|material| material.name.as_ref());
+        let list = namer.list(name.into_iter().cloned().collect());
+        namer.begin(triangles.len(), [list, NONE, NONE]);
         file.place(primitive, part_from_node, &mut positions, &mut triangles)?;
     }
-    source.mesh(&positions, &triangles)
+    let mesh = source.mesh(&positions, &triangles)?;
+    Ok((mesh, namer.finish(triangles.len())))
 }
 
 /// The JSON of a file, and the binary chunk behind it.

@@ -22,6 +22,7 @@ use crate::math::{Aabb, DVec3};
 
 pub mod check;
 mod gltf;
+mod groups;
 pub mod memory;
 mod obj;
 mod ply;
@@ -35,6 +36,7 @@ mod three_mf;
 mod weld;
 
 pub use check::{MeshReport, Orientation, has_area, report};
+pub use groups::Groups;
 pub use shell::Shell;
 
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
@@ -200,6 +202,16 @@ fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec
 /// `load` for bytes already in memory; `path` names them in errors, and a glTF file's buffers are
 /// beside it.
 pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
+    parse_named(path, bytes, unit_mm).map(|(mesh, _)| mesh)
+}
+
+/// The same with the names that OBJ, PLY and glTF give to triangles.
+#[doc(hidden)]
+pub fn parse_named(
+    path: &Path,
+    bytes: &[u8],
+    unit_mm: impl Into<Option<f64>>,
+) -> Result<(Mesh, Groups), Error> {
     let unit_mm = unit_mm.into();
     assert!(
         unit_mm.is_none_or(|unit| unit.is_finite() && unit > 0.0),
@@ -212,15 +224,16 @@ pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Resu
         bytes,
         unit_mm: unit_mm.or(usual).unwrap_or(1.0),
     };
+    let nameless = |mesh: Mesh| (mesh, Groups::default());
     match format {
-        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm),
+        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm).map(nameless),
         sniff::Format::Gltf => gltf::read(&source),
         _ if unit_mm.is_none() => {
             let found = "coordinates without a unit";
             Err(source.error(Place::File, found, "a unit beside the file's name"))
         }
-        sniff::Format::BinaryStl => stl::binary(&source),
-        sniff::Format::AsciiStl => stl::ascii(&source),
+        sniff::Format::BinaryStl => stl::binary(&source).map(nameless),
+        sniff::Format::AsciiStl => stl::ascii(&source).map(nameless),
         sniff::Format::Ply => ply::read(&source),
         sniff::Format::Obj => obj::read(&source),
     }

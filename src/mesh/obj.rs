@@ -1,11 +1,13 @@
 //! Wavefront OBJ.
 //!
 //! Faces of one or two corners have no area and are passed over, as are
-//! materials, normals, texture coordinates and free-form surfaces. An unknown
+//! normals, texture coordinates and free-form surfaces. A triangle has the names of its groups (`g`), its object
+//! (`o`) and its material (`usemtl`); what a material is, is not read. An unknown
 //! statement is refused: a misspelt `v` would shift all later indices. OBJ has
 //! no end mark: a file cut off between two lines cannot be told from a whole one
 //! (its missing faces show as boundary edges in the report).
 
+use super::groups::{Groups, Lists, NONE, Namer};
 use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote};
 use super::{Mesh, Source};
@@ -22,7 +24,7 @@ pub fn is_statement(word: &[u8]) -> bool {
     STATEMENTS.split(' ').any(|s| s.as_bytes() == word)
 }
 
-pub fn read(source: &Source) -> Result<Mesh, Error> {
+pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
     let mut positions = Vec::new();
     // Of all faces one after the other, and how many each has. A face may stand
     // before its vertices, so that none is cut before the end.
@@ -30,6 +32,7 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     let mut arities: Vec<u16> = Vec::new();
     let mut lines = Lines::new(source.bytes);
     let mut words = Vec::new();
+    let mut names = Names::new();
     while let Some(line) = statement(&mut lines, &mut words) {
         match words.split_first() {
             Some((&b"v", words)) => positions.push(vertex(source, words, line)?),
@@ -37,6 +40,7 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
                 face(source, &words[1..], line, positions.len(), &mut corners)?;
                 arities.push(words.len() as u16 - 1);
             }
+            Some((&(b"g" | b"o" | b"usemtl"), _)) => names.change(&words, arities.len()),
             Some((word, _)) if !is_statement(word) => {
                 let found = quote(word);
                 return Err(source.error(Place::Line(line), found, "an OBJ statement"));
@@ -51,7 +55,12 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     let mut triangles = Vec::with_capacity(arities.len());
     let mut cutter = Cutter::default();
     let mut rest = corners.as_slice();
+    let mut namer = names.namer;
+    let mut changes = names.changes.into_iter().peekable();
     for (k, &arity) in arities.iter().enumerate() {
+        while let Some((_, names)) = changes.next_if(|&(face, _)| face <= k) {
+            namer.begin(triangles.len(), names);
+        }
         let (face, others) = rest.split_at(arity as usize);
         rest = others;
         for &corner in face {
@@ -77,7 +86,44 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
             return Err(source.error(Place::File, TOO_MUCH[0], TOO_MUCH[1]));
         }
     }
-    source.mesh(&positions, &triangles)
+    let mesh = source.mesh(&positions, &triangles)?;
+    Ok((mesh, namer.finish(triangles.len())))
+}
+
+/// Names of the faces to come.
+struct Names {
+    namer: Namer,
+    /// Groups, object and material.
+    now: Lists,
+    /// From which face on, and which.
+    changes: Vec<(usize, Lists)>,
+}
+
+impl Names {
+    fn new() -> Names {
+        Names {
+            namer: Namer::default(),
+            now: [NONE; 3],
+            changes: Vec::new(),
+        }
+    }
+
+    /// At a statement of names, before the face of this number.
+    fn change(&mut self, words: &[&[u8]], face: usize) {
+        let text = |word: &[u8]| String::from_utf8_lossy(word).into_owned();
+        let (at, names) = match (words[0], &words[1..]) {
+            (b"g", names) => (0, names.iter().map(|word| text(word)).collect()),
+            (_, []) => (usize::from(words[0] != b"o") + 1, Vec::new()),
+            (word, names) => (
+                usize::from(word != b"o") + 1,
+                vec![text(&names.join(&b' '))],
+            ),
+        };
+        self.now[at] = self.namer.list(names);
+        // Nothing came under the last.
+        let _ = self.changes.pop_if(|(first, _)| *first == face);
+        self.changes.push((face, self.now));
+    }
 }
 
 /// Whether the statement is a face that has an area.
@@ -177,7 +223,7 @@ fn face(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::parse;
+    use crate::mesh::{parse, parse_named};
     use std::path::Path;
 
     const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
@@ -208,6 +254,27 @@ mod tests {
             parse(Path::new("a"), fortran.as_bytes(), 1.0).unwrap(),
             plain
         );
+    }
+
+    /// Groups, objects and materials, of triangles and of polygons that are cut.
+    #[test]
+    fn faces_keep_their_names() {
+        let faces = "f 1 2 3\ng\nusemtl brushed steel\no lid\nf 1 2 3 4\ng top side\nf 1 2\nf 1 3 4\nusemtl\n\
+             usemtl paint\nf 1 2 4\n";
+        let text = format!("{SQUARE}{faces}");
+        let (mesh, groups) = parse_named(Path::new("a.obj"), text.as_bytes(), 1.0).unwrap();
+        assert_eq!(mesh.triangles.len(), 5);
+        for (name, expected) in [
+            ("brushed steel", [0, 1, 1, 1, 0]),
+            ("lid", [0, 1, 1, 1, 1]),
+            ("top", [0, 0, 0, 1, 1]),
+            ("side", [0, 0, 0, 1, 1]),
+            ("paint", [0, 0, 0, 0, 1]),
+        ] {
+            let found = groups.numbers(5, &[(name, 1)].into());
+            assert_eq!(found, Ok(expected.to_vec()), "{name}");
+        }
+        assert_eq!(groups.names().len(), 5);
     }
 
     #[test]

@@ -63,6 +63,15 @@ pub enum Reason {
         /// Number of the frame.
         frame: u32,
     },
+    /// A lobe narrower than the lens's pupil, whose speckle is simulated as if fully developed.
+    SpeckleNotDeveloped {
+        /// Least roughness α of the surface.
+        roughness: f64,
+        /// Half the angle of the pupil as the part sees it, rad.
+        pupil_half_angle: f64,
+        /// A quarter of the wavelength.
+        quarter_wavelength_um: f64,
+    },
     /// In every frame the part is behind the laser.
     LaserLooksAway,
     /// The light passes the part; its plane at the nearest by so much, in this frame.
@@ -192,6 +201,19 @@ impl Reason {
             Reason::SensorThroughPart { body, frame } => format!(
                 "The {body} passes through the part's surface after frame {frame}. Move the path \
                  away from the part."
+            ),
+            Reason::SpeckleNotDeveloped {
+                roughness,
+                pupil_half_angle,
+                quarter_wavelength_um,
+            } => format!(
+                "The surface of roughness {} is too smooth for speckle as it is simulated: its facets are less \
+                 steep than half the angle of the lens's pupil, {} rad, so that within a grain heights differ by less \
+                 than a quarter of the wavelength, {} µm. Contrast and errors of points are less there than \
+                 simulated. Give a greater roughness, a larger f-number, or speckle = false.",
+                short(*roughness),
+                short(*pupil_half_angle),
+                short(*quarter_wavelength_um)
             ),
             Reason::LaserLooksAway => "The laser looks away from the part, which is behind it in \
                  every frame. Turn laser.direction round, or move the part."

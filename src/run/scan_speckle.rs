@@ -12,7 +12,7 @@ use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::frame_field::{FrameFields, PupilPlace, field_spec, wide_field_spec};
-use crate::speckle::lookup::{Lookup, Method};
+use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::motion::overlap_correlation_defocused;
 use crate::speckle::path::PathAnchor;
 use crate::speckle::pattern::PatternSpec;
@@ -108,19 +108,27 @@ impl ScanSpeckle {
             strips = false;
             anchor_of = anchor(scene, Follows::Surface, || lit_normal(scene, accel));
         }
+        // Where surfaces differ in polarisation, samples weigh the patterns of both.
+        let coherence = match scene.surface.polarisation_differs() {
+            true => Coherence {
+                polarisation_degree: 0.0,
+                ..model.coherence
+            },
+            false => model.coherence,
+        };
         let (source, map) = match model.method {
             Method::Field => {
                 let spec = match wider {
                     None => field_spec(scene.seed, model.aperture),
                     Some(wider) => wide_field_spec(scene.seed, model.aperture, wider),
                 };
-                let fields = FrameFields::new(&spec, model.coherence)?;
+                let fields = FrameFields::new(&spec, coherence)?;
                 let map = fields.map(grain / wider.unwrap_or(1.0), distance);
                 (PatternSource::Frame { fields, strips }, map)
             }
             Method::Trilinear => {
                 let spec = ring_spec(scene.seed, model.aperture);
-                let lookup = Lookup::new(&spec, model.method, model.coherence)?;
+                let lookup = Lookup::new(&spec, model.method, coherence)?;
                 let source = PatternSource::Ring(lookup);
                 let map = GrainMap::new(spec.texels_per_speckle, grain, distance);
                 (source, map)

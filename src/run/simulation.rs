@@ -266,7 +266,7 @@ fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
         laser: &scene.laser,
         camera: &scene.camera,
         camera_from_laser,
-        glossy: scene.surface.glossy().is_some(),
+        glossy: scene.surface.glossy().next().is_some(),
     }
 }
 

@@ -329,6 +329,7 @@ impl Follow<'_> {
         let towards_light = -light.flux.normalize_or_zero();
         let towards_light = self.laser_from_part.inverse().vector(towards_light);
         let towards_eye = (self.eye - hit.point).normalize_or_zero();
+        let surface = surface.of(hit.face.triangle);
         let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, towards_eye);
         let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
         let electrons = irradiance

@@ -11,6 +11,7 @@ use crate::inspect::flags::count_flags;
 use crate::math::DVec3;
 use crate::profile::blinding_height;
 use crate::scene::{Motion, Scene, Unit};
+use crate::surface::Glossy;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -38,6 +39,7 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
     let mut reasons = Vec::new();
     reasons.extend(no_motion(scene, &frames));
     reasons.extend(sensor_and_part(scene, accel, &frames));
+    reasons.extend(speckle_not_developed(scene));
     let survey = Survey::of(scene, accel, frames);
     let sensor = SensorFigures::of(scene, &survey);
     let width = sensor.as_ref().and_then(|sensor| {
@@ -95,6 +97,22 @@ fn no_motion(scene: &Scene, frames: &Range<u32>) -> Option<Reason> {
     };
     (rests && frames.len() > 1).then_some(Reason::NoMotion {
         frames: frames.len(),
+    })
+}
+
+/// Speckle is fully developed where heights within a grain of the surface, λ/(2a) wide for a pupil of half the
+/// angle a, vary by a quarter of the wavelength or more (Goodman 2007, section 3.2). Facets of slope α rise
+/// at most α/2 of that width about their mean, α·λ/(4a): for α < a, a lobe narrower than the pupil, it cannot be.
+fn speckle_not_developed(scene: &Scene) -> Option<Reason> {
+    scene.speckle?;
+    let lens = &scene.camera.lens;
+    let pupil_half_angle = lens.pupil_diameter() / 2.0 / lens.focus_distance;
+    let narrowest = scene.surface.glossy().map(Glossy::narrowest);
+    let roughness = narrowest.reduce(f64::min)?;
+    (roughness < pupil_half_angle).then_some(Reason::SpeckleNotDeveloped {
+        roughness,
+        pupil_half_angle,
+        quarter_wavelength_um: scene.laser.beam.wavelength * 1e3 / 4.0,
     })
 }
 

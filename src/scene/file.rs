@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// A laser-triangulation scan of one part. World frame right-handed,
 /// millimetres.
@@ -81,6 +82,11 @@ pub struct PartTable {
     pub reflectance: Option<f64>,
     /// Metal, paint or a mix, in place of `reflectance`.
     pub surface: Option<SurfaceTable>,
+    /// Surfaces of groups of the mesh's triangles, by the group's name: a group (`g`), object (`o`) or material (`usemtl`)
+    /// of OBJ, a number of PLY's face property `material_index`, a material of glTF. All other triangles have
+    /// `surface` or `reflectance`.
+    #[serde(default)]
+    pub surfaces: BTreeMap<String, SurfaceTable>,
     /// Degree of polarisation of the reflected light, 0 (paint) to 1 (metal);
     /// lowers speckle contrast by √((1 + 𝒫²)/2). Default: 1; with `surface` the share of light that
     /// is reflected without entering the part, where laser and camera look at a surface across the beam.

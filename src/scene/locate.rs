@@ -328,6 +328,7 @@ impl Source {
             ),
             (_, "u64") => (written.into(), "a whole number, not negative".into()),
             (_, "a boolean") => (written.into(), "true or false".into()),
+            (_, "a map") => (written.into(), A_TABLE.into()),
             (_, "a string") => (written.into(), "text in quotation marks".into()),
             (_, "a sequence") => (written.into(), "a list such as [1, 2]".into()),
             (_, table) if table.starts_with("struct ") => (written.into(), A_TABLE.into()),

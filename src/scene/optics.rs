@@ -11,6 +11,7 @@ use crate::error::Result;
 use crate::laser::{Beam, Fan, FanProfile, Laser};
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use crate::speckle::lookup::{Coherence, Method};
+use crate::surface::Surfaces;
 use glam::UVec2;
 
 impl Resolver<'_> {
@@ -85,15 +86,16 @@ impl Resolver<'_> {
         })
     }
 
-    /// Checked whether speckle is on or off: a mistake is one either way. `polarised`: the degree of
-    /// polarisation if the scene names none.
+    /// Checked whether speckle is on or off: a mistake is one either way. Its contrast is that of the surface
+    /// on which it is highest.
     pub(super) fn speckle(
         &self,
         file: &SceneFile,
         camera: &Camera,
-        polarised: f64,
+        surfaces: &Surfaces,
     ) -> Result<Option<SpeckleModel>> {
-        let polarisation_degree = file.part.polarisation_degree.unwrap_or(polarised);
+        let degrees = surfaces.kinds().iter().map(|kind| kind.polarised);
+        let polarisation_degree = degrees.fold(f64::NAN, f64::max);
         self.check(
             (0.0..=1.0).contains(&polarisation_degree),
             "part.polarisation_degree",
@@ -109,6 +111,12 @@ impl Resolver<'_> {
             SpeckleMethod::Field => Method::Field,
             SpeckleMethod::Trilinear => Method::Trilinear,
         };
+        let by_field = method == Method::Field || !surfaces.polarisation_differs();
+        self.check(
+            by_field || !file.speckle,
+            "speckle_method",
+            "field, as surfaces differ in polarisation; or part.polarisation_degree for all",
+        )?;
         Ok(file.speckle.then_some(SpeckleModel {
             method,
             coherence: Coherence {

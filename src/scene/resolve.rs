@@ -13,10 +13,10 @@ use crate::error::{Error, InputError, Place, Result};
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
-use crate::mesh::{self, Mesh, Watch};
+use crate::mesh::{self, Groups, Mesh, Watch};
 use crate::profile::{Calibration, Choice, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
-use crate::surface::Surface;
+use crate::surface::Surfaces;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -73,6 +73,10 @@ pub struct Scene {
     /// The part, mm, in its own frame; or what the copies repeat.
     #[serde(skip)]
     pub mesh: Arc<Mesh>,
+    /// Names that the mesh's file gives to its triangles.
+    #[serde(skip)]
+    #[doc(hidden)]
+    pub groups: Arc<Groups>,
     /// Unit of the mesh's file; `None`: the file states it, or the mesh is a shape of the scene's.
     #[doc(hidden)]
     pub mesh_unit: Option<Unit>,
@@ -85,7 +89,7 @@ pub struct Scene {
     pub copies: Arc<[Rigid]>,
     /// How the part scatters light.
     #[doc(hidden)]
-    pub surface: Surface,
+    pub surface: Surfaces,
     /// Where the part is unless the path moves it.
     pub part_at_rest: Rigid,
     /// In its own frame.
@@ -226,11 +230,15 @@ impl Resolver<'_> {
         sensor: Vec<SolvedValue>,
         like: Option<&Scene>,
     ) -> Result<Scene> {
-        let (mesh, mesh_hash, mesh_unit) = match like {
-            Some(scene) => (scene.mesh.clone(), Vec::from(&*scene.hash), scene.mesh_unit),
+        let ((mesh, groups), mesh_hash, mesh_unit) = match like {
+            Some(scene) => (
+                (scene.mesh.clone(), scene.groups.clone()),
+                Vec::from(&*scene.hash),
+                scene.mesh_unit,
+            ),
             None => {
-                let (mesh, hash, unit) = self.mesh(&file.part)?;
-                (Arc::new(mesh), hash, unit)
+                let ((mesh, groups), hash, unit) = self.mesh(&file.part)?;
+                ((Arc::new(mesh), Arc::new(groups)), hash, unit)
             }
         };
         let chord = match file.part.mesh.as_ref().and_then(|table| table.chord_um) {
@@ -239,20 +247,20 @@ impl Resolver<'_> {
         };
         let part = file.part.in_words();
         let (copies, copies_hash) = self.copies(&file.part, like)?;
-        let surface = self.surface(&file.part, file.laser.wavelength_nm)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
+        let named = (&*groups, mesh.triangles.len());
+        let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
+            polarised(glossy, &head_from_laser, &head_from_camera)
+        })?;
         let auto_exposure = self.auto_exposure(&file.camera)?;
         let camera_from_laser = head_from_camera.inverse() * head_from_laser;
         let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
         let (scan, poses_hash) = self.scan(&file.scan, camera.sensor.exposure_ms)?;
-        let polarised = surface.glossy().map_or(1.0, |glossy| {
-            polarised(glossy, &head_from_laser, &head_from_camera)
-        });
-        let speckle = self.speckle(&file, &camera, polarised)?;
+        let speckle = self.speckle(&file, &camera, &surface)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         let methods = self.methods(
@@ -277,6 +285,7 @@ impl Resolver<'_> {
             methods,
             part,
             mesh,
+            groups,
             mesh_unit,
             chord,
             copies,
@@ -346,7 +355,7 @@ impl Resolver<'_> {
 
     /// The part's mesh, the bytes that stand for a mesh file in the hash, and its unit if the file does
     /// not state one itself.
-    fn mesh(&self, part: &PartTable) -> Result<(Mesh, Vec<u8>, Option<Unit>)> {
+    fn mesh(&self, part: &PartTable) -> Result<((Mesh, Groups), Vec<u8>, Option<Unit>)> {
         let kinds = [
             part.mesh.is_some(),
             part.plane.is_some(),
@@ -360,7 +369,7 @@ impl Resolver<'_> {
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
         let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
-            Ok(mesh) => Ok((mesh, Vec::new(), None)),
+            Ok(mesh) => Ok(((mesh, Groups::default()), Vec::new(), None)),
             Err(wrong) => {
                 let key = format!("{table}.{}", wrong.argument);
                 Err(self.source.wrong(&key, &wrong.expected))
@@ -377,10 +386,10 @@ impl Resolver<'_> {
                 mesh::UnitBy::File => None,
             };
             let (mesh, hash) = rayon::join(
-                || mesh::parse(&file, &bytes, unit.map(Unit::mm)),
+                || mesh::parse_named(&file, &bytes, unit.map(Unit::mm)),
                 || Sha256::digest(&bytes).to_vec(),
             );
-            let (mesh, mut hash) = (mesh?, hash);
+            let ((mesh, groups), mut hash) = (mesh?, hash);
             if unit_by == mesh::UnitBy::Metres {
                 // Its numbers may stand in other files.
                 let numbers = mesh
@@ -395,7 +404,7 @@ impl Resolver<'_> {
                 let expected = "a mesh with a surface";
                 return Err(InputError::new(&file, Place::File, found, expected).into());
             }
-            return Ok((mesh, hash, unit));
+            return Ok(((mesh, groups), hash, unit));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

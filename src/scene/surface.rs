@@ -1,42 +1,99 @@
 //! What the part's surface is.
 
-use super::file::{CoatTable, LayTable, MattTable, MetalTable, PartTable};
+use super::file::{CoatTable, LayTable, MattTable, MetalTable, PartTable, SurfaceTable};
 use super::resolver::Resolver;
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::math::Rigid;
+use crate::mesh::Groups;
 use crate::surface::{
-    Coat, Ggx, Glossy, Lambert, Lay, Lobe, Metal, Surface, WAVELENGTHS_NM, metal_index, metal_names,
+    Coat, Ggx, Glossy, Kind, Lambert, Lay, Lobe, Metal, Surface, Surfaces, WAVELENGTHS_NM,
+    metal_index, metal_names,
 };
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Roughness α of a lobe that is not taken for a mirror, and of the roughest.
 const ROUGHNESS: [f64; 2] = [0.01, 1.0];
 
+/// The table of a surface, and its dotted key.
+struct Named<'a> {
+    key: String,
+    table: &'a SurfaceTable,
+}
+
 impl Resolver<'_> {
-    pub(super) fn surface(&self, part: &PartTable, wavelength_nm: f64) -> Result<Surface> {
-        let table = match (&part.surface, part.reflectance) {
+    /// The surfaces of the mesh's triangles. `polarised` is the degree of polarisation of a surface that is not Lambert's, if the
+    /// scene names none.
+    pub(super) fn surfaces(
+        &self,
+        part: &PartTable,
+        wavelength_nm: f64,
+        (groups, triangles): (&Groups, usize),
+        polarised: impl Fn(&Glossy) -> f64,
+    ) -> Result<Surfaces> {
+        let named = |key: String, table| Named { key, table };
+        let rest = match (&part.surface, part.reflectance) {
             (None, Some(reflectance)) => {
-                self.share(reflectance, "part.reflectance")?;
-                return Ok(Lambert { reflectance }.into());
+                let reflectance = self.share(reflectance, "part.reflectance")?;
+                Lambert { reflectance }.into()
             }
-            (Some(table), None) => table,
+            (Some(table), None) => {
+                let table = named("part.surface".to_owned(), table);
+                self.surface(&table, wavelength_nm)?
+            }
             _ => {
                 let expected = "exactly one of reflectance and surface";
                 return Err(self.source.wrong("part", expected));
             }
         };
+        let kind = |name: Option<&String>, surface: Surface| Kind {
+            name: name.cloned(),
+            polarised: (part.polarisation_degree)
+                .unwrap_or_else(|| surface.glossy().map_or(1.0, &polarised)),
+            surface,
+        };
+        let mut kinds = vec![kind(None, rest)];
+        if part.surfaces.is_empty() {
+            return Ok(Surfaces::new(kinds, Vec::new()));
+        }
+        let expected = format!("at most {} surfaces", Surfaces::MOST - 1);
+        let few = part.surfaces.len() < Surfaces::MOST;
+        self.check(few, "part.surfaces", &expected)?;
+        let mut numbers = BTreeMap::new();
+        let known = groups.names();
+        for (name, table) in &part.surfaces {
+            let key = format!("part.surfaces.{name}");
+            self.check(known.contains(name.as_str()), &key, &names_of(&known))?;
+            numbers.insert(name.as_str(), kinds.len() as u8);
+            let surface = self.surface(&named(key, table), wavelength_nm)?;
+            kinds.push(kind(Some(name), surface));
+        }
+        let numbers = groups.numbers(triangles, &numbers);
+        let of_triangle = numbers.map_err(|[one, other]| {
+            let expected =
+                format!("one surface a triangle; some triangles are in {one} and {other}");
+            self.source
+                .wrong(&format!("part.surfaces.{other}"), &expected)
+        })?;
+        Ok(Surfaces::new(kinds, of_triangle))
+    }
+
+    fn surface(&self, named: &Named, wavelength_nm: f64) -> Result<Surface> {
+        let Named { key, table } = named;
         let mut lobes = Vec::new();
         if let Some(metal) = &table.metal {
-            lobes.push((metal.share, Lobe::Metal(self.metal(metal, wavelength_nm)?)));
+            lobes.push((
+                metal.share,
+                Lobe::Metal(self.metal(metal, key, wavelength_nm)?),
+            ));
         }
         if let Some(coat) = &table.coat {
-            lobes.push((coat.share, Lobe::Coat(self.coat(coat)?)));
+            lobes.push((coat.share, Lobe::Coat(self.coat(coat, key)?)));
         }
         if let Some(MattTable { reflectance, share }) = table.matt {
-            self.share(reflectance, "part.surface.matt.reflectance")?;
+            self.share(reflectance, &format!("{key}.matt.reflectance"))?;
             lobes.push((share, Lobe::Matt(Lambert { reflectance })));
         }
-        let key = "part.surface";
         self.check(
             !lobes.is_empty(),
             key,
@@ -49,7 +106,8 @@ impl Resolver<'_> {
             key,
             "shares from 0 to 1 whose sum is at most 1",
         )?;
-        let lay = table.lay.as_ref().map(|lay| self.lay(lay)).transpose()?;
+        let lay = table.lay.as_ref();
+        let lay = lay.map(|lay| self.lay(lay, key)).transpose()?;
         let across = |across: Option<f64>| across.is_some();
         let needs_lay = table
             .metal
@@ -73,15 +131,16 @@ impl Resolver<'_> {
     }
 
     fn facets(&self, along: f64, across: Option<f64>, table: &str) -> Result<Ggx> {
-        let key = |name: &str| format!("part.surface.{table}.{name}");
+        let key = |name: &str| format!("{table}.{name}");
         self.within(along, &key("roughness"), ROUGHNESS)?;
         let across = across.map(|across| self.within(across, &key("roughness_across"), ROUGHNESS));
         let across = across.transpose()?.unwrap_or(along);
         Ok(Ggx { along, across })
     }
 
-    fn metal(&self, table: &MetalTable, wavelength_nm: f64) -> Result<Metal> {
-        let facets = self.facets(table.roughness, table.roughness_across, "metal")?;
+    fn metal(&self, table: &MetalTable, surface: &str, wavelength_nm: f64) -> Result<Metal> {
+        let own = format!("{surface}.metal");
+        let facets = self.facets(table.roughness, table.roughness_across, &own)?;
         let (n, k) = match (&table.name, table.n, table.k) {
             (Some(name), None, None) => {
                 let names: Vec<_> = metal_names().collect();
@@ -91,38 +150,40 @@ impl Resolver<'_> {
                     names.join(", ")
                 );
                 let index = metal_index(name, wavelength_nm);
-                let wrong = || self.source.wrong("part.surface.metal.name", &expected);
+                let wrong = || self.source.wrong(&format!("{own}.name"), &expected);
                 let (n, k, _) = index.ok_or_else(wrong)?;
                 (n, k)
             }
             (None, Some(n), Some(k)) => (
-                self.within(n, "part.surface.metal.n", [0.01, 100.0])?,
-                self.within(k, "part.surface.metal.k", [0.0, 100.0])?,
+                self.within(n, &format!("{own}.n"), [0.01, 100.0])?,
+                self.within(k, &format!("{own}.k"), [0.0, 100.0])?,
             ),
             _ => {
                 let expected = "either name, or n and k";
-                return Err(self.source.wrong("part.surface.metal", expected));
+                return Err(self.source.wrong(&own, expected));
             }
         };
         Ok(Metal::new(n, k, facets))
     }
 
-    fn coat(&self, table: &CoatTable) -> Result<Coat> {
-        let facets = self.facets(table.roughness, table.roughness_across, "coat")?;
-        let index = self.within(table.index, "part.surface.coat.index", [1.05, 3.0])?;
-        let reflectance = self.share(table.reflectance, "part.surface.coat.reflectance")?;
+    fn coat(&self, table: &CoatTable, surface: &str) -> Result<Coat> {
+        let own = format!("{surface}.coat");
+        let facets = self.facets(table.roughness, table.roughness_across, &own)?;
+        let index = self.within(table.index, &format!("{own}.index"), [1.05, 3.0])?;
+        let reflectance = self.share(table.reflectance, &format!("{own}.reflectance"))?;
         Ok(Coat::new(index, reflectance, facets))
     }
 
-    fn lay(&self, table: &LayTable) -> Result<Lay> {
+    fn lay(&self, table: &LayTable, surface: &str) -> Result<Lay> {
+        let key = |name: &str| format!("{surface}.lay.{name}");
         match (table.direction, table.axis_direction) {
             (Some(direction), None) => {
-                let direction = self.direction(direction, "part.surface.lay.direction")?;
+                let direction = self.direction(direction, &key("direction"))?;
                 Ok(Lay::Along(direction))
             }
             (None, Some(axis)) => {
-                let point = self.lengths(table.axis_point_mm, "part.surface.lay.axis_point_mm")?;
-                let axis = self.direction(axis, "part.surface.lay.axis_direction")?;
+                let point = self.lengths(table.axis_point_mm, &key("axis_point_mm"))?;
+                let axis = self.direction(axis, &key("axis_direction"))?;
                 Ok(Lay::About {
                     point: point.into(),
                     axis,
@@ -130,9 +191,26 @@ impl Resolver<'_> {
             }
             _ => {
                 let expected = "exactly one of direction and axis_direction";
-                Err(self.source.wrong("part.surface.lay", expected))
+                Err(self.source.wrong(&format!("{surface}.lay"), expected))
             }
         }
+    }
+}
+
+/// What may be named of a mesh whose triangles have these names.
+fn names_of(names: &BTreeSet<&str>) -> String {
+    const SHOWN: usize = 40;
+    let shown: Vec<_> = names
+        .iter()
+        .take(SHOWN)
+        .map(|name| printable::short(name))
+        .collect();
+    match names.len() {
+        0 => "no such table, as the mesh names no groups of triangles (OBJ g, o or usemtl; PLY faces with \
+              material_index; glTF materials)"
+            .to_owned(),
+        n if n > SHOWN => format!("a name of the mesh: {} and {} more", shown.join(", "), n - SHOWN),
+        _ => format!("a name of the mesh: {}", shown.join(", ")),
     }
 }
 

@@ -8,6 +8,7 @@ mod glossy;
 mod lay;
 mod metal;
 mod metals;
+mod surfaces;
 
 pub use coat::Coat;
 pub use ggx::Ggx;
@@ -15,6 +16,7 @@ pub use glossy::{Glossy, LitPoint, Lobe};
 pub use lay::Lay;
 pub use metal::Metal;
 pub use metals::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
+pub use surfaces::{Kind, Surfaces};
 
 use crate::math::DVec3;
 use std::f64::consts::FRAC_1_PI;

@@ -1,12 +1,14 @@
 //! PLY (Turk, 1994), ASCII and binary of either byte order.
 //!
 //! Wanted are `x`, `y`, `z` of element `vertex` and the list `vertex_indices`
-//! (or `vertex_index`) of element `face`; everything else is stepped over. Faces of one or two corners have no area and are passed over. After
+//! (or `vertex_index`) of element `face`, and of its whole numbers `material_index`, which names the face; everything
+//! else is stepped over. Faces of one or two corners have no area and are passed over. After
 //! the last element blank lines (ASCII) or too few bytes for one more of it
 //! (binary) are ignored; more is refused, since then the counts are wrong.
 
 use header::{Element, Encoding, Scalar};
 
+use super::groups::{Groups, NONE, Namer};
 use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote, words};
 use super::{Mesh, Source};
@@ -15,7 +17,7 @@ use crate::math::DVec3;
 
 mod header;
 
-pub fn read(source: &Source) -> Result<Mesh, Error> {
+pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
     let mut lines = Lines::new(source.bytes);
     let (encoding, elements) = header::read(source, &mut lines)?;
     header::check_counts(source, encoding, &elements, lines.offset)?;
@@ -28,6 +30,7 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
     };
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
+    let mut namer = Namer::default();
     // Faces that stand before the vertices, and where.
     let mut early = None;
     for (i, element) in elements.iter().enumerate() {
@@ -38,14 +41,14 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
                 early = Some((element, body.offset, body.lines.clone()));
                 body.skip(element)?;
             }
-            b"face" => body.faces(element, &positions, &mut triangles)?,
+            b"face" => body.faces(element, &positions, &mut triangles, &mut namer)?,
             _ => body.skip(element)?,
         }
     }
     body.end(elements.last().map_or(0, |e| e.least(encoding)))?;
     if let Some((element, offset, lines)) = early {
         (body.offset, body.lines) = (offset, lines);
-        body.faces(element, &positions, &mut triangles)?;
+        body.faces(element, &positions, &mut triangles, &mut namer)?;
     }
     if triangles.is_empty() {
         let names: Vec<_> = (elements.iter())
@@ -53,7 +56,8 @@ pub fn read(source: &Source) -> Result<Mesh, Error> {
             .collect();
         return Err(source.no_triangles(&format!("a PLY of {}", names.join(", "))));
     }
-    source.mesh(&positions, &triangles)
+    let mesh = source.mesh(&positions, &triangles)?;
+    Ok((mesh, namer.finish(triangles.len())))
 }
 
 /// The data after the header.
@@ -209,6 +213,7 @@ impl<'a> Body<'a> {
         element: &Element,
         positions: &[DVec3],
         triangles: &mut Vec<[u32; 3]>,
+        namer: &mut Namer,
     ) -> Result<(), Error> {
         let corners = element
             .property("vertex_indices")
@@ -221,6 +226,11 @@ impl<'a> Body<'a> {
             let found = "faces without a list of whole numbers vertex_indices or vertex_index";
             return Err(self.source.error(line, found, "one of the two"));
         };
+        let is_number = |&i: &usize| {
+            element.properties[i].count.is_none() && element.properties[i].item.is_integer()
+        };
+        let material = element.property("material_index").filter(is_number);
+        let mut named = None;
         triangles.reserve_exact(element.count as usize);
         let mut values = vec![0.0; element.properties.len()];
         let (mut list, mut face) = (Vec::new(), Vec::new());
@@ -236,6 +246,12 @@ impl<'a> Body<'a> {
                 continue;
             }
             self.corners(&list, number, place, positions, &mut face)?;
+            let name = material.map(|material| values[material]);
+            if let Some(number) = name.filter(|_| name != named) {
+                let list = namer.list(vec![number.to_string()]);
+                namer.begin(triangles.len(), [list, NONE, NONE]);
+                named = name;
+            }
             if !cutter.cut(positions, &face, triangles) {
                 return Err(self.source.error(place, TOO_MUCH[0], TOO_MUCH[1]));
             }
