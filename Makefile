@@ -15,7 +15,7 @@ demo: setup
 
 # The C library with it, in one build; its own tests compile C programs.
 test: setup
-	cargo test -p lasertrace -p lasertrace-c
+	cargo test -p lasertrace -p lasertrace-c --features lasertrace/service
 	bindings/python/test.sh
 
 bench: setup

@@ -88,6 +88,9 @@ pub mod report;
 pub mod run;
 #[doc(hidden)]
 pub mod scene;
+#[cfg(feature = "service")]
+#[doc(hidden)]
+pub mod service;
 #[doc(hidden)]
 pub mod speckle;
 #[doc(hidden)]

@@ -12,8 +12,8 @@ export CARGO_TERM_COLOR=never LC_ALL=C
 out=out/verify
 mkdir -p "$out"
 case ${1:-long} in
-small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= bench='--profile test' times=2 ;;
-long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release bench= times=1.5 ;;
+small) page=$out/small.md rays=50000 surfaces=0 seconds=3 profile= bench='--profile test' times=2 features='--features service' ;;
+long) page=docs/verification.md rays=100000000 surfaces=16 seconds=240 profile=--release bench= times=1.5 features= ;;
 *) sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 64 ;;
 esac
 rows=$out/rows.md
@@ -50,7 +50,7 @@ else
     row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
 fi
 
-command="cargo run $profile --example aimed_rays -- $rays"
+command="cargo run $profile${features:+ $features} --example aimed_rays -- $rays"
 # shellcheck disable=SC2086
 try rays $command
 figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; lost += n[2]; false_ += n[3] }
@@ -72,6 +72,17 @@ else
     awk '{ outside += $1 < $2 || $1 > $3 } END { print outside + 0 " of " NR " rows outside" }')
     case $figure in [0-5]' of 17 rows outside') ;; *) met=no ;; esac
     row 'decorrelation of speckle against wave optics' "$figure" 'at most 5 outside their 95 % interval' "$met" "$command"
+fi
+
+name='500 jobs of the service, of 16 clients that send each twice'
+goal='none lost, none twice; memory does not grow with what passes through'
+command='cargo test --release --features service --test service five_hundred -- --ignored --nocapture'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086
+    try service $command
+    row "$name" "$(grep ' clients, each sent twice' "$log")" "$goal" "$met" "$command"
 fi
 
 name='lines out of focus against waves'
@@ -98,7 +109,7 @@ figure=$(sed -n 's/^frame over Embree: \([0-9.]*\).*/\1/p' "$log")
 awk -v is="$figure" -v was="$was" -v times="$times" 'BEGIN { exit !(is > 0 && is <= times * was) }' || met=no
 row "$name" "$figure" "$goal" "$met" "LASERTRACE_PAIRS=11 $command"
 
-command='cargo test --test limits_mutated -- --nocapture'
+command="cargo test${features:+ $features} --test limits_mutated -- --nocapture"
 LASERTRACE_FUZZ_SECONDS=$seconds
 export LASERTRACE_FUZZ_SECONDS
 # shellcheck disable=SC2086

@@ -6,11 +6,17 @@ mod chart;
 mod check;
 mod complaint;
 mod dataset;
+#[cfg(feature = "service")]
+mod job;
 mod manual;
 mod merge;
 mod peaks;
+#[cfg(feature = "service")]
+mod rays;
 mod render;
 mod scan;
+#[cfg(feature = "service")]
+mod serve;
 mod signals;
 mod speckle;
 mod threads;
@@ -76,6 +82,17 @@ enum Command {
     Peaks(peaks::Arguments),
     /// Compare predicted uncertainties with the scatter over many seeds
     Uncertainty(uncertainty::Arguments),
+    /// Take jobs over HTTP: scenes and meshes in, files out
+    #[cfg(feature = "service")]
+    Serve(serve::Arguments),
+    /// Do the job of the service whose folder this is
+    #[cfg(feature = "service")]
+    #[command(hide = true)]
+    Job,
+    /// Cast the rays of a file against a mesh
+    #[cfg(feature = "service")]
+    #[command(hide = true)]
+    Rays(rays::Arguments),
     /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file, or of a sensor file
@@ -161,12 +178,18 @@ struct Output {
 impl Output {
     /// A progress bar on stderr if that is a terminal.
     fn progress(&self, steps: u64, of: &str) -> ProgressBar {
-        self.bar(steps, &format!("{{pos}}/{{len}} {of}, {{eta}} left"))
+        let bar = self.bar(steps, &format!("{{pos}}/{{len}} {of}, {{eta}} left"));
+        #[cfg(feature = "service")]
+        job::follow(&bar, of);
+        bar
     }
 
     /// The same for a share of something, to be given to `show`.
     fn share(&self, of: &str) -> ProgressBar {
-        self.bar(1000, &format!("{{percent}} % {of}, {{eta}} left"))
+        let bar = self.bar(1000, &format!("{{percent}} % {of}, {{eta}} left"));
+        #[cfg(feature = "service")]
+        job::follow(&bar, &format!("thousandths {of}"));
+        bar
     }
 
     fn bar(&self, steps: u64, text: &str) -> ProgressBar {
@@ -231,6 +254,15 @@ pub fn run() -> u8 {
             return 0;
         }
     };
+    #[cfg(feature = "service")]
+    if matches!(cli.command, Command::Job) {
+        return job::run();
+    }
+    exit_code(&perform(cli))
+}
+
+/// Does what the arguments say, and says what went wrong; `None` is a fault of the program.
+fn perform(cli: Cli) -> std::result::Result<(), Option<Error>> {
     let complaints = complaint::Complaints {
         json: cli.json,
         again: match &cli.command {
@@ -241,15 +273,23 @@ pub fn run() -> u8 {
     };
     // The panic's own message is on stderr already.
     match catch_unwind(AssertUnwindSafe(|| execute(cli, complaints))) {
-        Ok(Ok(())) => 0,
+        Ok(Ok(())) => Ok(()),
         Ok(Err(error)) => {
             complaints.say(&error);
-            error.exit_code()
+            Err(Some(error))
         }
         Err(_) => {
             say("this is a fault of the program; please report it with the lines above");
-            70
+            Err(None)
         }
+    }
+}
+
+fn exit_code(done: &std::result::Result<(), Option<Error>>) -> u8 {
+    match done {
+        Ok(()) => 0,
+        Err(Some(error)) => error.exit_code(),
+        Err(None) => 70,
     }
 }
 
@@ -282,6 +322,12 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
+        #[cfg(feature = "service")]
+        Command::Serve(arguments) => serve::run(arguments, &output),
+        #[cfg(feature = "service")]
+        Command::Job => unreachable!("a job is no command of another"),
+        #[cfg(feature = "service")]
+        Command::Rays(arguments) => rays::run(arguments, &output),
         Command::Completions(arguments) => manual::completions(arguments, &output),
         Command::Man(arguments) => manual::man(arguments, &output),
         Command::Schema { sensor } => {

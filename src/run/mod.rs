@@ -15,6 +15,8 @@ pub(crate) mod methods;
 mod need;
 pub(crate) mod pilot;
 pub(crate) mod planner;
+#[cfg(feature = "service")]
+mod rays;
 pub(crate) mod ready;
 mod reason;
 mod render;
@@ -37,6 +39,8 @@ pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};
 pub use forecast::Forecast;
 pub use height_errors::HeightErrors;
+#[cfg(feature = "service")]
+pub use rays::{RaysSummary, cast_rays};
 pub use ready::scene_plan;
 pub use reason::{Reason, Warning};
 pub use render::{RenderSummary, render};

@@ -56,6 +56,13 @@ pub(crate) fn require_scan(scene: &Scene, frames: u64, takes_images: bool) -> Re
     memory::require(work, images + frames * POSE, memory::available())
 }
 
+/// The same of so many rays in a file, each of so many bytes.
+#[cfg(feature = "service")]
+pub(crate) fn require_rays(count: u64, bytes: u64) -> Result<()> {
+    let work = format!("a file of up to {count} rays, {bytes} bytes each,");
+    memory::require(work, count.saturating_mul(bytes), memory::available())
+}
+
 /// The same of a frame with its truth.
 pub(crate) fn require_render(scene: &Scene) -> Result<()> {
     let work = format!(

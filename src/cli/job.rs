@@ -1,0 +1,149 @@
+//! A job of the service: a command as a user would type it, in a process of its own with limits, and what
+//! came of it written where the service looks.
+
+use super::{Cli, say};
+use crate::error::{Error, Result};
+use crate::service::{JobFolder, Limits, Outcome, Progress};
+use clap::Parser;
+use indicatif::ProgressBar;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use signal_hook::low_level;
+use std::fs::File;
+use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Bars of the command, with what they count; empty where nobody follows them.
+static BARS: Mutex<Option<Vec<(ProgressBar, String)>>> = Mutex::new(None);
+
+/// Time between two notes of how far the job is.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Has the job's progress read from this bar, if the process does a job.
+pub fn follow(bar: &ProgressBar, of: &str) {
+    if let Some(bars) = &mut *BARS.lock().unwrap_or_else(PoisonError::into_inner) {
+        bars.push((bar.clone(), of.to_owned()));
+    }
+}
+
+/// Does the job in this folder; the exit code is its command's.
+pub fn run() -> u8 {
+    let folder = JobFolder(".".into());
+    let done = folder.lock().and_then(|lock| {
+        let code = work(&folder)?;
+        drop(lock);
+        Ok(code)
+    });
+    done.unwrap_or_else(|error| {
+        say(&error.to_string());
+        error.exit_code()
+    })
+}
+
+fn work(folder: &JobFolder) -> Result<u8> {
+    let reserved = folder.reserve_outcome()?;
+    let task = folder.task()?;
+    limit(&task.limits)?;
+    let arguments = ["lasertrace", "--json"].map(str::to_owned);
+    let arguments = arguments.into_iter().chain(task.arguments);
+    *BARS.lock().unwrap_or_else(PoisonError::into_inner) = Some(Vec::new());
+    let end = Instant::now() + Duration::from_secs(task.limits.seconds);
+    let (watched, reserved_too) = (folder.clone(), reserved.try_clone());
+    let reserved_too = reserved_too.map_err(Error::io("open", &folder.0))?;
+    let watch = thread::Builder::new().name("watch".to_owned());
+    watch
+        .spawn(move || watch_over(&watched, &reserved_too, end, task.limits.seconds))
+        .map_err(|error| Error::Exhausted(format!("cannot start: {error}")))?;
+    let outcome = match Cli::try_parse_from(arguments) {
+        Ok(cli) => {
+            let done = super::perform(cli);
+            let full = matches!(&done, Err(Some(Error::Io { source, .. }))
+                if matches!(source.kind(), StorageFull | QuotaExceeded));
+            Outcome {
+                exit_code: super::exit_code(&done),
+                again: full || matches!(done, Err(Some(Error::Interrupted | Error::Busy(_)))),
+                full,
+                message: None,
+            }
+        }
+        Err(error) => Outcome {
+            exit_code: 64,
+            again: false,
+            full: false,
+            message: error.to_string().lines().next().map(str::to_owned),
+        },
+    };
+    write(folder, &reserved, &outcome);
+    Ok(outcome.exit_code)
+}
+
+/// The one outcome of the job.
+fn write(folder: &JobFolder, reserved: &File, outcome: &Outcome) {
+    static ONCE: Mutex<bool> = Mutex::new(false);
+    let mut written = ONCE.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*written {
+        *written = true;
+        folder.write_outcome(reserved, outcome);
+    }
+}
+
+/// Notes how far the job is, and ends it where it takes longer than it may.
+fn watch_over(folder: &JobFolder, reserved: &File, end: Instant, seconds: u64) {
+    let mut noted = None;
+    while Instant::now() < end {
+        thread::sleep(LOOK.min(end.saturating_duration_since(Instant::now())));
+        let progress = progress();
+        if progress != noted
+            && let Some(progress) = &progress
+        {
+            folder.write_progress(progress);
+        }
+        noted = progress.or(noted);
+    }
+    let outcome = Outcome {
+        exit_code: 75,
+        again: false,
+        full: false,
+        message: Some(format!(
+            "the job took longer than the {seconds} s that it may"
+        )),
+    };
+    write(folder, reserved, &outcome);
+    low_level::exit(75);
+}
+
+/// Of the last bar that moves.
+fn progress() -> Option<Progress> {
+    let bars = BARS.lock().unwrap_or_else(PoisonError::into_inner);
+    let moves = |(bar, _): &&(ProgressBar, String)| !bar.is_finished() && bar.position() > 0;
+    let (bar, what) = bars.as_ref()?.iter().rfind(moves)?;
+    Some(Progress {
+        done: bar.position(),
+        of: bar.length()?,
+        what: what.clone(),
+    })
+}
+
+/// Limits this process, and so the job.
+fn limit(limits: &Limits) -> Result<()> {
+    let work = limits.seconds.saturating_mul(limits.threads.into());
+    let values = [
+        (Resource::As, limits.memory),
+        (Resource::Cpu, work),
+        (Resource::Fsize, limits.file),
+        (Resource::Core, 0),
+    ];
+    for (resource, value) in values {
+        // Never above what the system grants this user.
+        let granted = getrlimit(resource).maximum.unwrap_or(u64::MAX);
+        let value = Some(value.min(granted));
+        let limit = Rlimit {
+            current: value,
+            maximum: value,
+        };
+        setrlimit(resource, limit)
+            .map_err(|error| Error::io("limit", "this process".as_ref())(error.into()))?;
+    }
+    Ok(())
+}

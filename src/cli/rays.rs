@@ -1,0 +1,34 @@
+use super::{Output, STOP};
+use crate::error::Result;
+use crate::error::printable::path;
+use crate::run::{self, Control};
+use crate::scene::Unit;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Mesh file
+    mesh: PathBuf,
+    /// Rays (JSON): {"rays": [[x, y, z, dx, dy, dz], …]} in mm
+    rays: PathBuf,
+    /// Unit of the mesh file, where it does not say it
+    #[arg(long, value_enum)]
+    unit: Option<Unit>,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let control = Control {
+        progress: &|_| {},
+        building: None,
+        stop: &STOP,
+    };
+    let Arguments { mesh, rays, .. } = &arguments;
+    let unit = arguments.unit.map(Unit::mm);
+    let done = run::cast_rays(mesh, unit, rays, &arguments.output, &control)?;
+    let (rays, hits) = (done.rays, done.hits);
+    let text = format!("{hits} of {rays} rays met the mesh\n{}", path(&done.file));
+    output.result(&done, &text)
+}

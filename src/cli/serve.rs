@@ -1,0 +1,102 @@
+use super::{Cli, Output, STOP};
+use crate::error::{Error, Result};
+use crate::mesh::memory;
+use crate::service::{self, Limits, Service, Settings};
+use clap::CommandFactory;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use tracing::Level;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Address and port to listen on; 0 is a free port
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8787")]
+    listen: SocketAddr,
+    /// Folder that keeps files and jobs
+    #[arg(long, value_name = "DIR", default_value = "lasertrace-store")]
+    store: PathBuf,
+    /// File with the token that clients must send; or it stands in the variable LASERTRACE_TOKEN
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// A name by which clients call this machine, beside localhost
+    #[arg(long, value_name = "NAME")]
+    host: Vec<String>,
+    /// Jobs that run at the same time
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    jobs: u16,
+    /// Jobs that may wait for their turn
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    queue: u32,
+    /// Largest file that is taken, megabytes
+    #[arg(long, value_name = "MB", default_value_t = 4096, value_parser = megabytes())]
+    file_mb: u64,
+    /// Memory of a job, megabytes [default: what is free, shared among the jobs that run]
+    #[arg(long, value_name = "MB", value_parser = megabytes())]
+    job_memory_mb: Option<u64>,
+    /// Time a job may take
+    #[arg(long, value_name = "S", default_value_t = 24 * 3600, value_parser = clap::value_parser!(u64).range(1..=1 << 32))]
+    job_seconds: u64,
+    /// Largest file a job may write, megabytes
+    #[arg(long, value_name = "MB", default_value_t = 16384, value_parser = megabytes())]
+    job_file_mb: u64,
+}
+
+fn megabytes() -> clap::builder::RangedU64ValueParser<u64> {
+    clap::value_parser!(u64).range(1..=1 << 32)
+}
+
+/// Bytes of address space where the system does not say how much is free.
+const MEMORY: u64 = 4_000_000_000;
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let token = token(arguments.token_file.as_deref())?;
+    let program = std::env::current_exe().map_err(Error::io("find", "this program".as_ref()))?;
+    let level = if output.quiet {
+        Level::WARN
+    } else {
+        Level::INFO
+    };
+    // Only a second one in the same process fails.
+    let _ = tracing_subscriber::fmt()
+        .json()
+        .with_max_level(level)
+        .with_writer(std::io::stderr)
+        .try_init();
+    let free = memory::available().unwrap_or(MEMORY);
+    let settings = Settings {
+        listen: arguments.listen,
+        store: arguments.store.clone(),
+        token,
+        hosts: arguments.host,
+        program: program.into(),
+        sweeps: Cli::command().find_subcommand("sweep").is_some(),
+        jobs_at_once: arguments.jobs.into(),
+        longest_queue: arguments.queue,
+        largest_file: arguments.file_mb * 1_000_000,
+        limits: Limits {
+            memory: (arguments.job_memory_mb)
+                .map_or(free / u64::from(arguments.jobs), |mb| mb * 1_000_000),
+            seconds: arguments.job_seconds,
+            file: arguments.job_file_mb * 1_000_000,
+            threads: rayon::current_num_threads() as u16,
+        },
+    };
+    let service = Service::open(settings)?;
+    let pages = service::router(service.clone());
+    let listening = |address: SocketAddr| {
+        let store = crate::error::printable::path(&arguments.store);
+        let text = format!("listening on http://{address}, jobs in {store}");
+        let value = serde_json::json!({ "listening": format!("http://{address}"), "store": arguments.store });
+        output.result(&value, &text)
+    };
+    service::serve(service, pages, listening, &STOP)
+}
+
+/// The token of the file, or of the environment.
+fn token(file: Option<&Path>) -> Result<Option<String>> {
+    let text = match file {
+        Some(file) => Some(std::fs::read_to_string(file).map_err(Error::io("read", file))?),
+        None => std::env::var(service::TOKEN_VARIABLE).ok(),
+    };
+    Ok(text.map(|text| text.trim().to_owned()))
+}

@@ -1,0 +1,277 @@
+//! Who may ask: names of the host, pages of other sites, and the token.
+
+use super::connections::Peer;
+use super::refusal::Refusal;
+use crate::error::{Error, Result};
+use axum::Router;
+use axum::extract::{Request, State};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Characters of a token at least: 32 hexadecimal digits are 128 bits.
+const SHORTEST_TOKEN: usize = 32;
+/// Wrong tokens from an address in [`MINUTE`] after which it must wait.
+const WRONG_TOKENS: u32 = 10;
+const MINUTE: Duration = Duration::from_secs(60);
+/// Addresses that are remembered.
+const ADDRESSES: usize = 4096;
+/// Pages that need no token: they say nothing of jobs.
+const OPEN: [&str; 2] = ["/healthz", "/readyz"];
+
+/// What a request must show before a page sees it.
+pub struct Guard {
+    /// SHA-256 of it: that of a guess says nothing of how near it is.
+    token: Option<[u8; 32]>,
+    hosts: Vec<String>,
+    wrong: Mutex<HashMap<IpAddr, (u32, Instant)>>,
+}
+
+impl Guard {
+    /// # Errors
+    /// `Error::Usage` for an address beyond loopback without a token, and for a token that can be guessed.
+    pub fn new(listen: SocketAddr, token: Option<&str>, hosts: &[String]) -> Result<Guard> {
+        if token.is_none() && !listen.ip().is_loopback() {
+            return Err(Error::Usage(format!(
+                "--listen {listen}: found no token, expected one beyond loopback addresses: --token-file FILE \
+                 or the variable {}",
+                super::workers::TOKEN_VARIABLE
+            )));
+        }
+        let good = |token: &str| {
+            token.len() >= SHORTEST_TOKEN && token.bytes().all(|byte| byte.is_ascii_graphic())
+        };
+        if token.is_some_and(|token| !good(token)) {
+            return Err(Error::Usage(format!(
+                "the token: expected at least {SHORTEST_TOKEN} letters, digits and signs without blanks, as \
+                 `openssl rand -hex 32` prints"
+            )));
+        }
+        Ok(Guard {
+            token: token.map(|token| Sha256::digest(token).into()),
+            hosts: hosts.iter().map(|host| host.to_lowercase()).collect(),
+            wrong: Mutex::default(),
+        })
+    }
+
+    /// Lets nothing through to the pages but what [`Guard`] allows.
+    pub fn around(self, pages: Router) -> Router {
+        pages.layer(from_fn_with_state(Arc::new(self), checked))
+    }
+
+    /// A name under which the service may be called. A page of another site that has its own name point
+    /// here (DNS rebinding) comes with that name; an address cannot be made to point elsewhere.
+    fn is_host(&self, host: &str) -> bool {
+        let Ok(authority) = host.parse::<Authority>() else {
+            return false;
+        };
+        let name = authority.host().to_lowercase();
+        let bare = name.trim_start_matches('[').trim_end_matches(']');
+        !host.contains('@')
+            && (name == "localhost" || bare.parse::<IpAddr>().is_ok() || self.hosts.contains(&name))
+    }
+
+    fn check(
+        &self,
+        path: &str,
+        headers: &HeaderMap,
+        peer: IpAddr,
+    ) -> std::result::Result<(), Refusal> {
+        let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("?"));
+        let forbidden = |message: String| Err(Refusal::new(StatusCode::FORBIDDEN, message));
+        let host = text(header::HOST).unwrap_or("");
+        if headers.get_all(header::HOST).iter().count() != 1 || !self.is_host(host) {
+            return Err(Refusal::new(
+                StatusCode::MISDIRECTED_REQUEST,
+                format!(
+                    "found the host {host:?}, expected an address, localhost or a name given by --host"
+                ),
+            ));
+        }
+        // Only browsers send these, and a page cannot change them.
+        if let Some(origin) = text(header::ORIGIN)
+            && !["http://", "https://"]
+                .iter()
+                .any(|scheme| origin.strip_prefix(scheme) == Some(host))
+        {
+            return forbidden(format!("a page of {origin:?} may not ask this service"));
+        }
+        if let Some(site) = text(HeaderName::from_static("sec-fetch-site"))
+            && site != "same-origin"
+            && site != "none"
+        {
+            return forbidden(format!(
+                "a page of another site ({site}) may not ask this service"
+            ));
+        }
+        match self.token {
+            Some(token) if !OPEN.contains(&path) => {
+                self.check_token(&token, text(header::AUTHORIZATION), peer)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_token(
+        &self,
+        token: &[u8; 32],
+        given: Option<&str>,
+        peer: IpAddr,
+    ) -> std::result::Result<(), Refusal> {
+        let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
+        wrong.retain(|_, (_, since)| since.elapsed() < MINUTE);
+        if wrong
+            .get(&peer)
+            .is_some_and(|(count, _)| *count >= WRONG_TOKENS)
+        {
+            return Err(Refusal::new(
+                StatusCode::TOO_MANY_REQUESTS,
+                "too many wrong tokens from this address; wait a minute",
+            ));
+        }
+        let given = given.and_then(|text| text.strip_prefix("Bearer "));
+        let Some(given) = given else {
+            let message = "this service wants a token: the header Authorization: Bearer TOKEN";
+            return Err(Refusal::new(StatusCode::UNAUTHORIZED, message));
+        };
+        let given: [u8; 32] = Sha256::digest(given).into();
+        // As long for every guess.
+        let differs = (token.iter().zip(given)).fold(0, |differs, (a, b)| differs | (a ^ b));
+        if differs == 0 {
+            return Ok(());
+        }
+        if wrong.len() < ADDRESSES || wrong.contains_key(&peer) {
+            wrong.entry(peer).or_insert((0, Instant::now())).0 += 1;
+        }
+        Err(Refusal::new(
+            StatusCode::UNAUTHORIZED,
+            "this is not the token",
+        ))
+    }
+}
+
+async fn checked(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
+    let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
+    // Whoever comes on another way than by a connection has no address of its own.
+    let peer = peer.unwrap_or(IpAddr::from([0, 0, 0, 0]));
+    match guard.check(request.uri().path(), request.headers(), peer) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => {
+            tracing::warn!(%peer, path = request.uri().path(), "refused: {}", refusal.message);
+            refusal.into_response()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(pairs: &[(&'static str, &str)]) -> HeaderMap {
+        let pairs = pairs
+            .iter()
+            .map(|(name, value)| (HeaderName::from_static(name), value.parse().unwrap()));
+        pairs.collect()
+    }
+
+    #[test]
+    fn hosts_are_addresses_and_names_that_were_given() {
+        let guard = Guard::new(
+            "127.0.0.1:1".parse().unwrap(),
+            None,
+            &["Lab.example".to_owned()],
+        );
+        let guard = guard.unwrap();
+        for good in [
+            "localhost",
+            "127.0.0.1:8787",
+            "[::1]:80",
+            "lab.example:1",
+            "LOCALHOST:9",
+        ] {
+            assert!(guard.is_host(good), "{good}");
+        }
+        for bad in [
+            "evil.example",
+            "127.0.0.1.evil.example",
+            "localhost.evil",
+            "",
+            "a@localhost",
+            "[::1",
+        ] {
+            assert!(!guard.is_host(bad), "{bad}");
+        }
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_refused() {
+        let guard = Guard::new("127.0.0.1:1".parse().unwrap(), None, &[]).unwrap();
+        let peer = IpAddr::from([127, 0, 0, 1]);
+        let status = |pairs: &[(&'static str, &str)]| {
+            let mut all = headers(pairs);
+            all.insert(header::HOST, "localhost:1".parse().unwrap());
+            guard
+                .check("/v1/jobs", &all, peer)
+                .map_err(|refusal| refusal.status)
+        };
+        assert_eq!(status(&[]), Ok(()));
+        assert_eq!(status(&[("origin", "http://localhost:1")]), Ok(()));
+        assert_eq!(status(&[("sec-fetch-site", "same-origin")]), Ok(()));
+        for bad in [
+            ("origin", "http://localhost:2"),
+            ("origin", "http://evil.example"),
+            ("origin", "null"),
+            ("sec-fetch-site", "cross-site"),
+            ("sec-fetch-site", "same-site"),
+        ] {
+            assert_eq!(status(&[bad]), Err(StatusCode::FORBIDDEN), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn an_address_guesses_ten_tokens_a_minute() {
+        let token = "0123456789abcdef0123456789abcdef";
+        let guard = Guard::new("0.0.0.0:1".parse().unwrap(), Some(token), &[]).unwrap();
+        let [one, other] = [1, 2].map(|last| IpAddr::from([10, 0, 0, last]));
+        let status = |token: &str, peer| {
+            let bearer = format!("Bearer {token}");
+            let all = headers(&[("host", "10.0.0.9"), ("authorization", &bearer)]);
+            guard
+                .check("/v1/jobs", &all, peer)
+                .map_err(|refusal| refusal.status)
+        };
+        assert_eq!(status(token, one), Ok(()));
+        for i in 0..WRONG_TOKENS {
+            assert_eq!(
+                status(&format!("guess{i}"), one),
+                Err(StatusCode::UNAUTHORIZED)
+            );
+        }
+        assert_eq!(status(token, one), Err(StatusCode::TOO_MANY_REQUESTS));
+        assert_eq!(status(token, other), Ok(()), "others are not held up");
+    }
+
+    #[test]
+    fn a_token_is_needed_beyond_loopback_and_is_long() {
+        let guard = |listen: &str, token| Guard::new(listen.parse().unwrap(), token, &[]);
+        assert!(guard("127.0.0.1:1", None).is_ok() && guard("[::1]:1", None).is_ok());
+        for (listen, token) in [
+            ("0.0.0.0:1", None),
+            ("192.168.0.1:1", None),
+            ("[::]:1", None),
+            ("127.0.0.1:1", Some("short")),
+        ] {
+            assert_eq!(
+                guard(listen, token).err().map(|e| e.exit_code()),
+                Some(64),
+                "{listen}"
+            );
+        }
+    }
+}

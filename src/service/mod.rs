@@ -1,0 +1,134 @@
+//! Jobs over HTTP: files by their hash, jobs in SQLite, each in a process of its own that does what the
+//! command line does, in a folder as the command line writes it.
+//!
+//! ```text
+//! STORE/jobs.db        the jobs (SQLite)
+//! STORE/files/HASH     meshes and whatever else a scene names, by SHA-256
+//! STORE/jobs/ID/       a job's folder: scene.toml, links to its files, out/
+//! ```
+//!
+//! The service itself reads no mesh: what a client sends is opened by the job's process, which has limits.
+//! `docs/security.md` says who may do what.
+
+mod api;
+mod connections;
+mod guard;
+mod job_folder;
+mod jobs;
+mod metrics;
+mod refusal;
+mod scene_files;
+mod store;
+mod upload;
+mod workers;
+
+pub use guard::Guard;
+pub use job_folder::Limits;
+pub(crate) use job_folder::{JobFolder, Outcome, Progress};
+pub use refusal::Refusal;
+pub use workers::TOKEN_VARIABLE;
+
+use crate::error::{Error, Result};
+use jobs::Jobs;
+use metrics::Metrics;
+use std::ffi::OsString;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use store::Store;
+use workers::Workers;
+
+/// What a service is started with.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Where to listen; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Folder of the jobs.
+    pub store: PathBuf,
+    /// What a client must send; `None`: nothing, and only a loopback address may be listened on.
+    pub token: Option<String>,
+    /// Names beside `localhost` by which clients may call the service.
+    pub hosts: Vec<String>,
+    /// The program whose command `job` runs a job.
+    pub program: OsString,
+    /// Whether it has a command `sweep`.
+    pub sweeps: bool,
+    /// Jobs that run at the same time.
+    pub jobs_at_once: usize,
+    /// Jobs that may wait.
+    pub longest_queue: u32,
+    /// Bytes of a file that is sent.
+    pub largest_file: u64,
+    /// Of each job.
+    pub limits: Limits,
+}
+
+/// All that the handlers of requests share.
+pub struct Service {
+    settings: Settings,
+    store: Store,
+    jobs: Jobs,
+    workers: Workers,
+    metrics: Metrics,
+}
+
+impl Service {
+    /// Opens the store, which no other service may have open.
+    ///
+    /// # Errors
+    /// `Error::Busy`; what the file system or SQLite refuse.
+    pub fn open(settings: Settings) -> Result<Arc<Service>> {
+        let store = Store::open(&settings.store)?;
+        let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
+        Ok(Arc::new(Service {
+            workers: Workers::new(settings.jobs_at_once),
+            metrics: Metrics::default(),
+            settings,
+            store,
+            jobs,
+        }))
+    }
+}
+
+/// The service's pages; those of another room may be merged with them.
+pub fn router(service: Arc<Service>) -> axum::Router {
+    api::router(service)
+}
+
+/// Serves `pages` and runs jobs until `stop`. `listening` hears where.
+///
+/// # Errors
+/// `Error::Usage` for an address beyond loopback without a token; an address that cannot be listened on.
+pub fn serve(
+    service: Arc<Service>,
+    pages: axum::Router,
+    listening: impl FnOnce(SocketAddr) -> Result<()>,
+    stop: &AtomicBool,
+) -> Result<()> {
+    let settings = &service.settings;
+    let guard = Guard::new(settings.listen, settings.token.as_deref(), &settings.hosts)?;
+    let pages = guard.around(pages);
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .max_blocking_threads(16)
+        .enable_all()
+        .build()
+        .map_err(|error| Error::Exhausted(format!("cannot start the service: {error}")))?;
+    let done = runtime.block_on(async {
+        let address = settings.listen;
+        let listener = tokio::net::TcpListener::bind(address).await;
+        let failed = || Error::io("listen on", address.to_string().as_ref());
+        let listener = listener.map_err(failed())?;
+        listening(listener.local_addr().map_err(failed())?)?;
+        tokio::spawn(workers::schedule(service.clone()));
+        tokio::spawn(connections::accept(listener, pages));
+        while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+        workers::stop_all(&service).await;
+        Ok(())
+    });
+    runtime.shutdown_timeout(std::time::Duration::from_millis(500));
+    done
+}

@@ -1,0 +1,149 @@
+//! Which files a scene that a client sent reads: those it names by hash, and no others.
+
+use super::refusal::Refusal;
+use super::store::{Hash, PREFIX, Store};
+use axum::http::StatusCode;
+use std::collections::BTreeSet;
+use std::fs;
+
+/// Last words of the keys whose value is a file.
+const FILE_KEYS: [&str; 6] = ["sensor", "scene", "file", "copies", "poses", "calibration"];
+/// Those of files that may name files themselves.
+const SCENE_KEYS: [&str; 2] = ["sensor", "scene"];
+/// Bytes of a sensor's or a scene's file.
+const LARGEST_SCENE: u64 = 1 << 20;
+/// Scenes that name scenes.
+const DEEPEST: usize = 3;
+
+/// The files that the scene reads, each of which is in the store.
+///
+/// # Errors
+/// Text that is not TOML; a file named otherwise than by its hash, or that is not there. A text with a
+/// slash is refused wherever it stands: so no path reaches the file system, whichever keys a scene may have.
+pub fn files_of(text: &[u8], store: &Store) -> Result<Vec<Hash>, Refusal> {
+    let mut found = BTreeSet::new();
+    collect(text, "the scene", store, DEEPEST, &mut found)?;
+    Ok(found.into_iter().collect())
+}
+
+fn wrong(message: String) -> Refusal {
+    Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message)
+}
+
+fn collect(
+    text: &[u8],
+    what: &str,
+    store: &Store,
+    deeper: usize,
+    found: &mut BTreeSet<Hash>,
+) -> Result<(), Refusal> {
+    let text = std::str::from_utf8(text).map_err(|error| wrong(format!("{what}: {error}")))?;
+    let table: toml::Table = text
+        .parse()
+        .map_err(|error: toml::de::Error| wrong(format!("{what} is not TOML: {error}")))?;
+    let mut texts = Vec::new();
+    strings("", &toml::Value::Table(table), &mut texts);
+    for (key, value) in texts {
+        let last = key.rsplit('.').next().unwrap_or(&key);
+        let Some(digits) = value.strip_prefix(PREFIX) else {
+            if FILE_KEYS.contains(&last) {
+                return Err(wrong(format!(
+                    "{what}: {key}: found {value:?}, expected \"{PREFIX}…\", the SHA-256 of a file that was \
+                     sent by PUT /v1/files/…"
+                )));
+            }
+            if value.contains(['/', '\\', '\0']) {
+                return Err(wrong(format!(
+                    "{what}: {key}: found {value:?}, expected a word without slashes: no path reaches the \
+                     service's files"
+                )));
+            }
+            continue;
+        };
+        let hash = Hash::parse(digits).ok_or_else(|| {
+            let expected = "64 digits of SHA-256, 0 to 9 and a to f";
+            wrong(format!(
+                "{what}: {key}: found {value:?}, expected {expected}"
+            ))
+        })?;
+        let path = store.file(&hash);
+        let size = fs::metadata(&path).map(|data| data.len()).map_err(|_| {
+            let digits = hash.digits();
+            wrong(format!(
+                "{what}: {key}: there is no file {value}; send it first: PUT /v1/files/{digits}"
+            ))
+        })?;
+        if found.insert(hash) && SCENE_KEYS.contains(&last) {
+            if size > LARGEST_SCENE || deeper == 0 {
+                let found = format!("{size} bytes, scenes in scenes");
+                return Err(wrong(format!("{what}: {key}: {value}: {found}")));
+            }
+            let text = fs::read(&path).map_err(crate::error::Error::io("read", &path))?;
+            collect(&text, &value, store, deeper - 1, found)?;
+        }
+    }
+    Ok(())
+}
+
+/// All texts, with their dotted keys.
+fn strings(key: &str, value: &toml::Value, found: &mut Vec<(String, String)>) {
+    match value {
+        toml::Value::String(text) => found.push((key.to_owned(), text.clone())),
+        toml::Value::Array(values) => values.iter().for_each(|value| strings(key, value, found)),
+        toml::Value::Table(table) => {
+            for (name, value) in table {
+                let key = match key {
+                    "" => name.clone(),
+                    _ => format!("{key}.{name}"),
+                };
+                strings(&key, value, found);
+            }
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_named_by_hash_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let [mesh, sensor] = ["a", "b"].map(|digit| Hash::parse(&digit.repeat(64)).unwrap());
+        fs::write(store.file(&mesh), "mesh").unwrap();
+        fs::write(store.file(&sensor), "[camera]\nx = \"../a\"").unwrap();
+        let files = |text: &str| files_of(text.as_bytes(), &store);
+        let good = format!(
+            "seed = 1\n[part]\nmesh = {{ file = \"{}\", unit = \"mm\" }}",
+            mesh.name()
+        );
+        assert_eq!(files(&good).unwrap(), [mesh.clone()]);
+        for (bad, word) in [
+            ("[part]\nmesh.file = \"/etc/passwd\"", "part.mesh.file"),
+            ("[part]\nmesh.file = \"part.stl\"", "expected \"sha256:"),
+            ("scan = { poses = \"../poses.csv\" }", "scan.poses"),
+            ("[part]\ncopies = \"\\u002e\\u002e\\u002fx\"", "part.copies"),
+            ("new_key = [[\"a/b\"]]", "without slashes"),
+            ("\"a.b\" = { \"c\" = \"..\\\\x\" }", "without slashes"),
+            ("[measure]\ncalibration = \"sha256:../x\"", "64 digits"),
+            (
+                "sensor = \"sha256:cccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccccc\"",
+                "send it first",
+            ),
+            ("seed = ", "not TOML"),
+        ] {
+            let refusal = files(bad).unwrap_err();
+            assert_eq!(refusal.status, StatusCode::UNPROCESSABLE_ENTITY);
+            assert!(refusal.message.contains(word), "{bad}: {}", refusal.message);
+        }
+        // A file that was sent is held to the same.
+        let refusal = files(&format!("sensor = \"{}\"", sensor.name())).unwrap_err();
+        assert!(
+            refusal.message.contains("without slashes"),
+            "{}",
+            refusal.message
+        );
+    }
+}

@@ -1,0 +1,385 @@
+//! Each attack that docs/security.md names, tried.
+
+use super::client::{Answer, SQUARE, Served, digits};
+use super::program::{PLANE, run, scene};
+use std::fs;
+use std::io::{Read, Write};
+use std::os::unix::fs::symlink;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+
+#[test]
+fn no_path_of_a_client_reaches_the_file_system() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(&store.path().join("store"), &[]);
+    fs::write(store.path().join("secret"), "secret").unwrap();
+    let id = served.job("kind=frame", &scene(PLANE));
+    served.done(&id);
+    let out = store.path().join("store/jobs").join(&id).join("out");
+    symlink(store.path().join("secret"), out.join("link.png")).unwrap();
+    symlink(store.path(), out.join("folder")).unwrap();
+    for path in [
+        "../scene.toml",
+        "..%2fscene.toml",
+        "%2e%2e/scene.toml",
+        "..%2f..%2f..%2f..%2fsecret",
+        "%2fetc%2fpasswd",
+        "/etc/passwd",
+        "a/../../scene.toml",
+        "frame-000000.png%00",
+        "link.png",
+        "folder/secret",
+        "folder%2fsecret",
+    ] {
+        let answer = served.get(&format!("/v1/jobs/{id}/files/{path}"));
+        assert!(matches!(answer.status, 400 | 404), "{path}: {answer:?}");
+        assert!(!answer.text().contains("secret"), "{path}: {answer:?}");
+    }
+    for path in [
+        "/v1/files/..%2f..%2fsecret",
+        "/v1/files/..",
+        "/v1/jobs/..%2f..",
+        "/v1/jobs/..%2fx/files/a",
+    ] {
+        for method in ["GET", "PUT", "HEAD", "DELETE"] {
+            let answer = served.ask(method, path, &[], b"x");
+            assert!(
+                (400..=405).contains(&answer.status),
+                "{method} {path}: {answer:?}"
+            );
+        }
+    }
+    assert_eq!(fs::read(store.path().join("secret")).unwrap(), b"secret");
+    // In scenes; the rest is in src/service/scene_files.rs.
+    let secret = store.path().join("secret");
+    for file in [
+        secret.to_str().unwrap(),
+        "../../../secret",
+        "job.json",
+        "scene.toml",
+    ] {
+        let text = scene(&format!("mesh = {{ file = \"{file}\", unit = \"mm\" }}"));
+        assert_eq!(served.post("kind=scan", &[], &text).status, 422, "{file}");
+    }
+    // A mesh that names another file: only a name with a colon would be there, and that is refused.
+    let gltf = r#"{"asset":{"version":"2.0"},"buffers":[{"uri":"../../../../secret","byteLength":6}],
+        "bufferViews":[{"buffer":0,"byteLength":6}],"accessors":[{"bufferView":0,"componentType":5126,
+        "count":3,"type":"VEC3"}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+        "nodes":[{"mesh":0}],"scenes":[{"nodes":[0]}],"scene":0}"#;
+    let name = served.put(gltf.as_bytes());
+    let job = served.end(&served.job(
+        "kind=scan",
+        &scene(&format!("mesh = {{ file = \"{name}\" }}")),
+    ));
+    assert_eq!(job["exit_code"], 65, "{job}");
+    // Words that look like options of the command line are no options.
+    for query in [
+        "kind=scan&frames=--help..3",
+        "kind=scan&also=--help",
+        "kind=frame&frame=--help",
+    ] {
+        assert!(
+            matches!(served.post(query, &[], &scene(PLANE)).status, 400 | 422),
+            "{query}"
+        );
+    }
+}
+
+/// The status after `bytes`, and when the connection was closed.
+fn closed_after(served: &Served, bytes: &[u8]) -> (u16, Duration) {
+    let start = Instant::now();
+    let mut stream = served.send(bytes);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    (Answer::of(&answer, false).status, start.elapsed())
+}
+
+/// All wait at the same time: ten seconds are the program's own, and no test may wait for each after the other.
+#[test]
+fn slow_clients_and_huge_heads_are_let_go() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let address = served.address;
+    // Far longer than the service waits, for a machine that is busy.
+    let patience = Duration::from_secs(60);
+    std::thread::scope(|scope| {
+        let served = &served;
+        for silent in ["", "GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Slow: "] {
+            scope.spawn(move || {
+                let (status, took) = closed_after(served, silent.as_bytes());
+                assert!(matches!(status, 0 | 408), "{silent:?}: {status}");
+                assert!(took < patience, "{silent:?}: {took:?}");
+            });
+        }
+        // A header a byte at a time, faster than any silence.
+        scope.spawn(move || {
+            let start = Instant::now();
+            let mut stream = served.send(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ");
+            while start.elapsed() < patience && stream.write_all(b"x").is_ok() {
+                sleep(Duration::from_millis(100));
+            }
+            assert!(start.elapsed() < patience, "it still listens");
+        });
+        for length in ["Content-Length: 10", "Transfer-Encoding: chunked"] {
+            scope.spawn(move || {
+                let head = format!(
+                    "POST /v1/jobs?kind=scan HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/toml\r\n\
+                     {length}\r\n\r\n"
+                );
+                let (status, took) = closed_after(served, head.as_bytes());
+                assert_eq!(status, 408, "{length}");
+                assert!(took < patience, "{length}: {took:?}");
+            });
+        }
+        let path = format!("/v1/files/{}", digits(SQUARE.as_bytes()));
+        scope.spawn(move || {
+            let head = format!(
+                "PUT {path} HTTP/1.1\r\nHost: {address}\r\nContent-Length: 500\r\n\r\nsolid"
+            );
+            assert_eq!(closed_after(served, head.as_bytes()).0, 408);
+        });
+        for (what, head) in [
+            (
+                "one header",
+                format!(
+                    "GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: {}\r\n\r\n",
+                    "x".repeat(1 << 20)
+                ),
+            ),
+            (
+                "many headers",
+                format!(
+                    "GET /healthz HTTP/1.1\r\nHost: localhost\r\n{}\r\n",
+                    "X: y\r\n".repeat(1 << 16)
+                ),
+            ),
+            (
+                "a path",
+                format!(
+                    "GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n",
+                    "x".repeat(1 << 20)
+                ),
+            ),
+        ] {
+            scope.spawn(move || {
+                let mut stream = served.send(b"");
+                let _ = stream.write_all(head.as_bytes());
+                let mut answer = Vec::new();
+                let _ = stream.read_to_end(&mut answer);
+                // Closed, or refused; the rest of what was sent may cut the answer off.
+                assert!(
+                    matches!(Answer::of(&answer, false).status, 0 | 414 | 431),
+                    "{what}"
+                );
+            });
+        }
+        // Others are served meanwhile.
+        scope.spawn(move || {
+            for _ in 0..20 {
+                assert_eq!(served.get("/healthz").status, 200);
+                sleep(Duration::from_millis(50));
+            }
+        });
+    });
+    assert_eq!(fs::read_dir(store.path().join("files")).unwrap().count(), 0);
+    // A body that is larger than it may be is not read to its end.
+    let head = format!(
+        "POST /v1/jobs?kind=scan HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/toml\r\n\
+         Content-Length: 1000000000000\r\n\r\n"
+    );
+    assert_eq!(closed_after(&served, head.as_bytes()).0, 413);
+    let endless = served.post("kind=scan", &[], &"#".repeat((1 << 20) + 1));
+    assert!(matches!(endless.status, 0 | 413), "{endless:?}");
+}
+
+#[test]
+fn a_token_is_asked_for_and_cannot_be_guessed_quickly() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start_with(store.path(), &[], Some(TOKEN));
+    let bearer = |token: &str| format!("Bearer {token}");
+    for path in ["/healthz", "/readyz"] {
+        assert_eq!(served.get(path).status, 200);
+    }
+    for path in [
+        "/v1/jobs",
+        "/metrics",
+        "/v1/openapi.json",
+        "/v1/jobs/x/files/y",
+        "//v1/jobs",
+        "/nothing",
+    ] {
+        let answer = served.get(path);
+        assert_eq!(
+            (answer.status, &answer.headers["www-authenticate"][..]),
+            (401, "Bearer"),
+            "{path}"
+        );
+    }
+    let good = bearer(TOKEN);
+    assert_eq!(
+        served
+            .ask("GET", "/v1/jobs", &[("Authorization", &good)], b"")
+            .status,
+        200
+    );
+    let mut statuses = Vec::new();
+    for i in 0..20 {
+        let guess = bearer(&format!("{}{i:02}", &TOKEN[..30]));
+        statuses.push(
+            served
+                .ask("GET", "/v1/jobs", &[("Authorization", &guess)], b"")
+                .status,
+        );
+    }
+    assert_eq!(statuses[..10], [401; 10]);
+    assert_eq!(statuses[10..], [429; 10]);
+    drop(served);
+    for (listen, token) in [
+        ("0.0.0.0:0", None),
+        ("[::]:0", None),
+        ("127.0.0.1:0", Some("short")),
+    ] {
+        let file = store.path().join("token");
+        fs::write(&file, token.unwrap_or("")).unwrap();
+        let mut arguments = vec![
+            "serve",
+            "--listen",
+            listen,
+            "--store",
+            store.path().to_str().unwrap(),
+        ];
+        if token.is_some() {
+            arguments.extend(["--token-file", file.to_str().unwrap()]);
+        }
+        let (code, _, said) = run(store.path(), &arguments);
+        assert_eq!(code, 64, "{said}");
+        assert!(said.contains("token"), "{said}");
+    }
+}
+
+/// A scan that takes minutes.
+fn long() -> String {
+    scene(PLANE)
+        .replace("frames = 3", "frames = 100000")
+        .replace("step_mm = 0.5", "step_mm = 0.00001")
+}
+
+#[test]
+fn a_job_does_not_see_the_token() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start_with(store.path(), &[], Some(TOKEN));
+    let bearer = format!("Bearer {TOKEN}");
+    let answer = served.post("kind=scan", &[("Authorization", &bearer)], &long());
+    assert_eq!(answer.status, 202, "{answer:?}");
+    let id = answer.json()["id"].as_str().unwrap().to_owned();
+    let folder = store.path().join("jobs").join(&id);
+    let start = Instant::now();
+    while !folder.join("out/frames.journal").exists() && start.elapsed() < super::client::PATIENCE {
+        sleep(Duration::from_millis(20));
+    }
+    let lock = fs::read_to_string(folder.join("lock")).unwrap();
+    let holds = |process: &str| {
+        let environment = fs::read(format!("/proc/{process}/environ")).unwrap();
+        let mut windows = environment.windows(TOKEN.len());
+        windows.any(|window| window == TOKEN.as_bytes())
+    };
+    assert!(holds(&served.process().to_string()) && !holds(lock.trim()));
+}
+
+#[test]
+fn a_queue_has_an_end() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &["--jobs", "1", "--queue", "2"]);
+    let first = served.job("kind=scan", &long());
+    served.wait(&first, |job| job["state"] == "running");
+    let waiting = [(); 2].map(|()| served.job("kind=frame", &long()));
+    let answer = served.post("kind=frame", &[], &long());
+    assert_eq!(
+        (answer.status, &answer.headers["retry-after"][..]),
+        (429, "10"),
+        "{answer:?}"
+    );
+    let path = format!("/v1/jobs/{}", waiting[0]);
+    assert_eq!(served.ask("DELETE", &path, &[], b"").status, 204);
+    assert_eq!(served.post("kind=frame", &[], &long()).status, 202);
+}
+
+#[test]
+fn pages_of_other_sites_cannot_ask_a_service_on_loopback() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let text = scene(PLANE);
+    let host = served.address.to_string();
+    // What a form or a script of another site sends without asking first.
+    for (name, value) in [
+        ("Origin", "http://evil.example"),
+        ("Origin", "null"),
+        ("Origin", "http://localhost:1"),
+        ("Sec-Fetch-Site", "cross-site"),
+        ("Sec-Fetch-Site", "same-site"),
+    ] {
+        let answer = served.post("kind=frame", &[(name, value)], &text);
+        assert_eq!(answer.status, 403, "{name}: {value}: {answer:?}");
+        let answer = served.ask("GET", "/v1/jobs", &[(name, value)], b"");
+        assert_eq!(answer.status, 403, "{name}: {value}");
+    }
+    for kind in [
+        "text/plain",
+        "application/x-www-form-urlencoded",
+        "multipart/form-data; boundary=x",
+    ] {
+        let answer = served.ask(
+            "POST",
+            "/v1/jobs?kind=frame",
+            &[("Content-Type", kind)],
+            text.as_bytes(),
+        );
+        assert_eq!(answer.status, 415, "{kind}");
+    }
+    // The question that a browser asks before it sends more gets no leave.
+    let before = [
+        ("Origin", "http://evil.example"),
+        ("Access-Control-Request-Method", "PUT"),
+    ];
+    let answer = served.ask("OPTIONS", "/v1/jobs", &before, b"");
+    assert!(
+        answer.status >= 400 && !answer.headers.contains_key("access-control-allow-origin"),
+        "{answer:?}"
+    );
+    // DNS rebinding: the page's own name, which now leads here.
+    for name in [
+        "evil.example",
+        "localhost.evil.example:80",
+        "127.0.0.1.nip.example",
+        "",
+        "x@localhost",
+    ] {
+        let answer = served.ask("GET", "/v1/jobs", &[("Host", name)], b"");
+        assert!(matches!(answer.status, 400 | 421), "{name}: {answer:?}");
+    }
+    let twice = format!(
+        "GET /v1/jobs HTTP/1.1\r\nHost: {host}\r\nHost: evil.example\r\nConnection: close\r\n\r\n"
+    );
+    assert_eq!(closed_after(&served, twice.as_bytes()).0, 421);
+    assert_eq!(served.get("/v1/jobs").json().as_array().unwrap().len(), 0);
+    // The service's own pages may.
+    let own = format!("http://{host}");
+    assert_eq!(
+        served.post("kind=frame", &[("Origin", &own)], &text).status,
+        202
+    );
+    // A report runs apart from the service's origin.
+    let id = served.get("/v1/jobs").json()[0]["id"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    served.done(&id);
+    let png = served.get(&format!("/v1/jobs/{id}/files/frame-000000.png"));
+    assert_eq!(
+        png.headers["content-security-policy"],
+        "sandbox allow-scripts"
+    );
+    assert_eq!(png.headers["x-content-type-options"], "nosniff");
+}
