@@ -97,6 +97,9 @@ pub mod speckle;
 pub mod study;
 #[doc(hidden)]
 pub mod surface;
+#[cfg(feature = "service")]
+#[doc(hidden)]
+pub mod view;
 #[doc(hidden)]
 pub mod wave;
 

@@ -8,7 +8,8 @@ use std::path::Path;
 /// The rooms from the ground up: each may import those before it.
 const ROOMS: &[&str] = &[
     "error", "math", "mesh", "accel", "race", "laser", "surface", "camera", "speckle", "wave",
-    "frame", "profile", "plan", "inspect", "scene", "report", "run", "study", "service", "cli",
+    "frame", "profile", "plan", "inspect", "scene", "report", "run", "study", "view", "service",
+    "cli",
 ];
 
 /// What a room may not import though it stands before it, and why.

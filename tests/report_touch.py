@@ -128,9 +128,13 @@ def touched(browser, address):
     yield check("and not the page", browser.value("visualViewport.scale") == 1 and browser.value("scrollY") == scrolled)
 
 
+def chromium():
+    return shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
 def main():
     address = pathlib.Path(sys.argv[1]).resolve().as_uri()
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    program = chromium()
     if not program:
         print("Chromium: not installed, skipped")
         return
@@ -150,4 +154,5 @@ def main():
     sys.exit(not all(all_hold))
 
 
-main()
+if __name__ == "__main__":
+    main()

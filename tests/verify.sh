@@ -156,6 +156,20 @@ else
     row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
 fi
 
+name='the live view dragged in Chromium'
+command='python3 tests/view_drag.py target/release/lasertrace'
+goal='pictures have the bytes that render writes'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif ! command -v python3 >/dev/null || ! command -v chromium >/dev/null; then
+    skip "$name" "$goal" 'needs python3 and chromium' "$command"
+else
+    try build cargo build --release --features service --bin lasertrace
+    # shellcheck disable=SC2086
+    try view $command
+    row "$name" "$(grep -c ': yes$' "$log") of $(grep -cE ': (yes|NO)$' "$log") hold" "$goal" "$met" "$command"
+fi
+
 . benches/conditions.sh
 {
     echo '# Verification'

@@ -21,6 +21,8 @@ mod signals;
 mod speckle;
 mod threads;
 mod uncertainty;
+#[cfg(feature = "service")]
+mod view;
 mod wave;
 
 use crate::accel::Backend;
@@ -80,6 +82,9 @@ enum Command {
     Wave(wave::Arguments),
     /// Chart the errors of each peak finder, or run all on an image of your own
     Peaks(peaks::Arguments),
+    /// Show a scene in the browser: its picture while values are dragged
+    #[cfg(feature = "service")]
+    View(view::Arguments),
     /// Compare predicted uncertainties with the scatter over many seeds
     Uncertainty(uncertainty::Arguments),
     /// Take jobs over HTTP: scenes and meshes in, files out
@@ -223,12 +228,6 @@ impl Output {
     }
 }
 
-/// Each warning as a line.
-fn warning_lines(warnings: &[crate::run::Warning]) -> String {
-    let line = |warning: &crate::run::Warning| format!("warning: {}\n", warning.message);
-    warnings.iter().map(line).collect()
-}
-
 /// Draws a share from 0 to 1; at 1 the bar goes.
 fn show(bar: &ProgressBar, share: f64) {
     bar.set_position((1e3 * share) as u64);
@@ -309,6 +308,11 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
     if let Some(cut) = cut.filter(|_| !cli.quiet) {
         say(&cut);
     }
+    // What answers requests has its work done by the pool's threads and waits elsewhere.
+    #[cfg(feature = "service")]
+    if let Command::View(arguments) = cli.command {
+        return view::run(arguments, &output, pool);
+    }
     pool.install(|| match cli.command {
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
@@ -320,6 +324,8 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Speckle(arguments) => speckle::run(arguments, &output),
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),
+        #[cfg(feature = "service")]
+        Command::View(_) => unreachable!("it was run above"),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         #[cfg(feature = "service")]

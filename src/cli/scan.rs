@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments, show, warning_lines};
+use super::{CoverageArguments, Output, STOP, SceneArguments, show};
 use crate::run;
 use crate::run::Control;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -193,7 +193,7 @@ impl Whole {
             ),
             None => format!("{} points, none of them valid", summary.points),
         };
-        let warnings = warning_lines(&summary.warnings);
+        let warnings = run::warning_lines(&summary.warnings);
         let mut text = format!(
             "{warnings}{deviation}\nopen the report:  {}\npoint cloud:      {}",
             path(&summary.report),

@@ -117,15 +117,15 @@ pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
     })
 }
 
-struct Places {
+pub(crate) struct Places {
     area: f64,
     /// A point and the unit normal of its triangle, as that is wound.
-    points: Vec<(DVec3, DVec3)>,
+    pub points: Vec<(DVec3, DVec3)>,
 }
 
 /// `n` points at equal steps of area along the part's triangles, copy by copy, and in
 /// each at the next place of a low-discrepancy sequence (Roberts 2018).
-fn spread(accel: &Accel, n: usize) -> Option<Places> {
+pub(crate) fn spread(accel: &Accel, n: usize) -> Option<Places> {
     let mesh = accel.mesh();
     let triangles = || (0..mesh.triangles.len()).map(|t| mesh.triangle(t));
     let doubled = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);

@@ -7,6 +7,8 @@ pub mod color;
 pub mod formats;
 pub mod lens_plot;
 pub mod limits_plot;
+#[cfg(feature = "service")]
+pub mod live;
 pub mod page;
 pub mod picture;
 pub mod ply;

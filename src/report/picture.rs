@@ -32,12 +32,17 @@ pub fn encode_counts(counts: &Counts) -> Vec<u8> {
     encode(&samples, width, height, ExtendedColorType::L16)
 }
 
-/// PNG of counts, row by row, for people: 8 bits, gamma 2.2, so that faint light shows.
+/// Counts for people: 8 bits, gamma 2.2, so that faint light shows.
+pub fn for_eyes(counts: &[u16], max_count: u16) -> Vec<u8> {
+    let shade = |c: u16| ((c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0).round() as u8;
+    let shades: Vec<u8> = (0..=max_count).map(shade).collect();
+    let samples = counts.iter().map(|&c| shades[c.min(max_count) as usize]);
+    samples.collect()
+}
+
+/// PNG of counts, row by row, for people.
 pub fn encode_for_eyes(counts: &[u16], width: usize, max_count: u16) -> Vec<u8> {
-    let samples: Vec<u8> = counts
-        .iter()
-        .map(|&c| ((c as f64 / max_count as f64).powf(1.0 / 2.2) * 255.0).round() as u8)
-        .collect();
+    let samples = for_eyes(counts, max_count);
     encode(&samples, width, counts.len() / width, ExtendedColorType::L8)
 }
 

@@ -1,12 +1,11 @@
-(() => {
-  const root = document.getElementById("viewer");
-  const data = JSON.parse(document.getElementById("viewer-data").textContent);
+// Points to turn round by hand, in `root`; gives back what shows other points in their place.
+const viewer = (root, data) => {
   const canvas = root.querySelector("canvas"), select = root.querySelector("select");
   const height = root.querySelector("input");
   const gl = canvas.getContext("webgl", { preserveDrawingBuffer: true });
   if (!gl) {
     root.innerHTML = "<p>This browser shows no 3D (WebGL is off); the pictures below are the same.</p>";
-    return;
+    return { show() {} };
   }
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const shader = (kind, source) => {
@@ -17,8 +16,8 @@
   };
   const program = gl.createProgram();
   gl.attachShader(program, shader(gl.VERTEX_SHADER,
-    "attribute vec3 p;attribute vec3 c;uniform mat3 turn;uniform vec3 size,pan;uniform float zoom,aspect,dot;varying vec3 v;" +
-    "void main(){vec3 q=turn*((p-.5)*size)*zoom+pan;gl_Position=vec4(q.x/aspect,q.y,q.z*.1,1.);gl_PointSize=dot;v=c;}"));
+    "attribute vec3 p;attribute vec3 c;uniform mat3 turn;uniform vec3 size,pan;uniform float zoom,aspect,dot,lift;varying vec3 v;" +
+    "void main(){vec3 q=turn*((p-.5)*size)*zoom+pan;gl_Position=vec4(q.x/aspect,q.y,q.z*.1-lift,1.);gl_PointSize=dot;v=c;}"));
   gl.attachShader(program, shader(gl.FRAGMENT_SHADER,
     "precision mediump float;varying vec3 v;void main(){gl_FragColor=vec4(v,1.);}"));
   gl.linkProgram(program);
@@ -30,12 +29,19 @@
     gl.bufferData(gl.ARRAY_BUFFER, content, gl.STATIC_DRAW);
     return b;
   };
-  const places = data.places.map(({ at, size }) => {
+  const placed = ({ at, size }) => {
     const content = bytes(at);
     return { buffer: buffer(content), count: content.length / 6, size };
-  });
-  const modes = data.modes.map((mode) => ({ ...mode, buffer: buffer(bytes(mode.colors)) }));
-  modes.forEach((mode, i) => select.add(new Option(mode.name, i)));
+  };
+  const under = data.under && { ...placed(data.under), colors: buffer(bytes(data.under.colors)), triangles: data.under.triangles };
+  let places = [], modes = [];
+  const take = (data) => {
+    [...places, ...modes].forEach((old) => gl.deleteBuffer(old.buffer));
+    places = data.places.map(placed);
+    modes = data.modes.map((mode) => ({ ...mode, buffer: buffer(bytes(mode.colors)) }));
+    if (!select.length) modes.forEach((mode, i) => select.add(new Option(mode.name, i)));
+  };
+  take(data);
   // A unit is half the height: where the canvas is narrower than high, the points must fit its width.
   const fit = Math.min(1, canvas.clientWidth / canvas.clientHeight);
   let [yaw, pitch, zoom, panX, panY] = [data.yaw, data.pitch, 1.5 * fit, 0, 0];
@@ -54,19 +60,26 @@
     gl.uniform3f(uniform("pan"), panX, panY, 0);
     gl.uniform1f(uniform("zoom"), zoom);
     gl.uniform1f(uniform("aspect"), canvas.width / canvas.height);
+    const attribute = (name, from, kind, bytes) => {
+      const at = gl.getAttribLocation(program, name);
+      gl.bindBuffer(gl.ARRAY_BUFFER, from);
+      gl.enableVertexAttribArray(at);
+      gl.vertexAttribPointer(at, 3, kind, true, bytes, 0);
+    };
+    const put = (at, colors, kind, dot, lift) => {
+      gl.uniform1f(uniform("dot"), dot);
+      gl.uniform1f(uniform("lift"), lift);
+      gl.uniform3fv(uniform("size"), at.size);
+      attribute("p", at.buffer, gl.UNSIGNED_SHORT, 6);
+      attribute("c", colors, gl.UNSIGNED_BYTE, 3);
+      gl.drawArrays(kind, 0, at.count);
+    };
+    const dot = Math.max(1.5, 1.6 * ratio * Math.sqrt(zoom));
+    if (under) put(under, under.colors, under.triangles ? gl.TRIANGLES : gl.POINTS, 1.6 * dot, 0);
     const mode = modes[select.value];
-    gl.uniform1f(uniform("dot"), Math.max(1.5, 1.6 * ratio * Math.sqrt(zoom)) * (mode.places ? 1.6 : 1));
-    const at = places[mode.places];
-    gl.uniform3fv(uniform("size"), at.size);
-    const [p, c] = [gl.getAttribLocation(program, "p"), gl.getAttribLocation(program, "c")];
-    gl.bindBuffer(gl.ARRAY_BUFFER, at.buffer);
-    gl.enableVertexAttribArray(p);
-    gl.vertexAttribPointer(p, 3, gl.UNSIGNED_SHORT, true, 6, 0);
-    gl.bindBuffer(gl.ARRAY_BUFFER, mode.buffer);
-    gl.enableVertexAttribArray(c);
-    gl.vertexAttribPointer(c, 3, gl.UNSIGNED_BYTE, true, 3, 0);
-    gl.drawArrays(gl.POINTS, 0, at.count);
-    root.querySelector("p").textContent = mode.caption;
+    // Points on the surface under them are drawn a little nearer.
+    if (mode) put(places[mode.places], mode.buffer, gl.POINTS, under ? 2 * dot : dot * (mode.places ? 1.6 : 1), under ? 0.003 : 0);
+    root.querySelector("p").textContent = mode ? mode.caption : "";
     // For tests and for those who want the same view again.
     root.dataset.view = JSON.stringify([yaw, pitch, zoom, panX, panY]);
   };
@@ -135,4 +148,10 @@
   select.onchange = draw;
   window.addEventListener("resize", draw);
   draw();
-})();
+  return {
+    show(data) {
+      take(data);
+      draw();
+    },
+  };
+};

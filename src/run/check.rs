@@ -6,6 +6,7 @@ use super::ready;
 use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{Cuts, SensorFigures, cuts};
+use super::simulation::Simulation;
 use super::warnings::{Foreseen, foreseen};
 use super::{Control, Coverage};
 use crate::error::{Error, Result};
@@ -41,15 +42,23 @@ pub struct Checked {
 pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     let start = Instant::now();
     let simulation = ready::simulation(scene, Coverage::Footprint, control)?;
-    let frames = 0..scene.scan.frames;
-    let preparing = start.elapsed().as_secs_f64();
-    let forecast = forecast_of(&simulation, &frames, preparing, control)?;
+    check_ready(&simulation, start.elapsed().as_secs_f64(), control)
+}
+
+/// The same of a simulation that took `preparing` seconds to make.
+pub(crate) fn check_ready(
+    simulation: &Simulation,
+    preparing: f64,
+    control: &Control,
+) -> Result<Checked> {
+    let frames = 0..simulation.scene.scan.frames;
+    let forecast = forecast_of(simulation, &frames, preparing, control)?;
     let images = !simulation.plan.geometry_only;
     let Foreseen { sensor, warnings } =
         foreseen(&simulation.scene, &simulation.accel, frames, images);
     Ok(Checked {
         scene: simulation.scene.clone(),
-        plan: simulation.plan,
+        plan: simulation.plan.clone(),
         forecast,
         sensor,
         cuts: cuts(&simulation.scene, &simulation.accel),
@@ -62,11 +71,16 @@ pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
 /// # Errors
 /// A camera that sees nothing of the laser's light; a file that cannot be written.
 pub fn draw_sensor(checked: &Checked, out: &Path) -> Result<()> {
-    let Some(sensor) = &checked.sensor else {
+    let Some(drawing) = drawing(checked) else {
         let nothing = "the camera sees nothing of the laser's light: there is no sensor to draw";
         return Err(Error::Usage(nothing.to_owned()));
     };
     files::create_folder(out)?;
-    let drawing = sensor_drawing(sensor, &checked.cuts);
     files::write_bytes(&out.join("sensor.svg"), drawing.as_bytes())
+}
+
+/// The same as SVG; `None` if the camera sees nothing of the laser's light.
+pub(crate) fn drawing(checked: &Checked) -> Option<String> {
+    let sensor = checked.sensor.as_ref()?;
+    Some(sensor_drawing(sensor, &checked.cuts))
 }

@@ -2,6 +2,8 @@
 //! half-written left behind.
 
 mod check;
+#[cfg(feature = "cli")]
+mod check_text;
 mod control;
 mod dataset;
 pub(crate) mod error_model;
@@ -20,7 +22,7 @@ mod rays;
 pub(crate) mod ready;
 mod reason;
 mod render;
-mod report;
+pub(crate) mod report;
 mod scan;
 pub(crate) mod scan_speckle;
 mod search;
@@ -34,6 +36,10 @@ mod survey;
 mod warnings;
 
 pub use check::{Checked, check, draw_sensor};
+#[cfg(feature = "service")]
+pub(crate) use check::{check_ready, drawing};
+#[cfg(feature = "cli")]
+pub use check_text::{check_text, warning_lines};
 pub use control::{Control, Coverage};
 pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};

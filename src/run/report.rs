@@ -268,34 +268,9 @@ impl Shown<'_> {
     fn viewer(&self, limits: &Limits) -> Viewer {
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
         let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
-        let mode = |name, caption: String, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
-            name,
-            caption,
-            colors: shown.iter().map(|p| color(p)).collect(),
-        };
-        let (d, s) = (limits.deviation_um, limits.sigma_um);
         let cloud = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
-            modes: vec![
-                mode(
-                    "deviation",
-                    format!("Deviation: blue {} µm, red {} µm.", short(-d), short(d)),
-                    &|p| diverging(p.deviation * 1e3, d),
-                ),
-                mode(
-                    "standard uncertainty",
-                    format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
-                    &|p| sequential(p.deviation_sigma * 1e3, s),
-                ),
-                mode(
-                    "flags",
-                    "Valid points grey-blue; points with a flag other than \"outside\" magenta."
-                        .into(),
-                    &|p| {
-                        if p.is_valid() { UNFLAGGED } else { FLAGGED }
-                    },
-                ),
-            ],
+            modes: point_modes(&shown, limits),
         };
         let any = self.summary.deviation.is_some();
         let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
@@ -311,6 +286,7 @@ impl Shown<'_> {
         }));
         Viewer {
             look: [0.6, 0.6],
+            under: None,
             layers,
         }
     }
@@ -359,14 +335,43 @@ fn camera(camera: &Camera) -> String {
     )
 }
 
+/// The ways to colour points: deviation, uncertainty, flags.
+pub(crate) fn point_modes(points: &[&CloudPoint], limits: &Limits) -> Vec<Mode> {
+    let mode = |name, caption: String, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
+        name,
+        caption,
+        colors: points.iter().map(|p| color(p)).collect(),
+    };
+    let (d, s) = (limits.deviation_um, limits.sigma_um);
+    vec![
+        mode(
+            "deviation",
+            format!("Deviation: blue {} µm, red {} µm.", short(-d), short(d)),
+            &|p| diverging(p.deviation * 1e3, d),
+        ),
+        mode(
+            "standard uncertainty",
+            format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
+            &|p| sequential(p.deviation_sigma * 1e3, s),
+        ),
+        mode(
+            "flags",
+            "Valid points grey-blue; points with a flag other than \"outside\" magenta.".into(),
+            &|p| {
+                if p.is_valid() { UNFLAGGED } else { FLAGGED }
+            },
+        ),
+    ]
+}
+
 /// Where the colours end ([`color_limit_um`]).
-struct Limits {
+pub(crate) struct Limits {
     deviation_um: f64,
     sigma_um: f64,
 }
 
 impl Limits {
-    fn of(points: &[CloudPoint]) -> Limits {
+    pub(crate) fn of(points: &[CloudPoint]) -> Limits {
         Limits {
             deviation_um: color_limit_um(points, |p| p.deviation),
             sigma_um: color_limit_um(points, |p| p.deviation_sigma),

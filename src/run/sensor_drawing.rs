@@ -52,7 +52,12 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         y: Axis::linear(DISTANCE, [bottom, top]),
     };
 
-    let seen = axes(lefts[0], "Seen along the line", "across the line, mm", beside);
+    let seen = axes(
+        lefts[0],
+        "Seen along the line",
+        "across the line, mm",
+        beside,
+    );
     seen.draw(&mut svg);
     seen.curve(&mut svg, [(0.0, 0.0), (0.0, bottom)], LIGHT);
     for end in [near, far] {

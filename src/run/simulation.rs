@@ -9,8 +9,8 @@ use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
 use crate::error::Result;
 use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, Truth, View};
-use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
+use crate::math::{DVec3, Rigid};
 use crate::plan::in_view::{InView, Optics};
 use crate::plan::rules::Plan;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
@@ -273,9 +273,23 @@ fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
 /// The plan for what the sensor sees of the part; where that is nothing, for all that it
 /// could see.
 pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
+    plan_for(scene, part_in_view(scene, accel).places)
+}
+
+/// The same for one frame alone.
+pub(crate) fn plan_of_frame(scene: &Scene, accel: &Accel, frame: u32) -> Plan {
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
-    let mut places = part_in_view(scene, accel).places;
+    let part_from_laser = scene.part_from_head(frame) * scene.head_from_laser;
+    plan_for(
+        scene,
+        InView::along(&optics, accel, 1, |_| part_from_laser).places,
+    )
+}
+
+fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
+    let camera_from_laser = camera_from_laser(scene);
+    let optics = optics(scene, &camera_from_laser);
     if places.is_empty() {
         places = optics.overlap();
     }

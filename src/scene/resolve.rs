@@ -152,6 +152,21 @@ impl Scene {
         Scene::resolved(source, &path, &|_| Ok(()), None)
     }
 
+    /// All values of a scene file by key: its own, those of the sensor it names, and what follows from a data
+    /// sheet. Errors: as of [`Scene::load`], but for what only the values together show.
+    pub(crate) fn values(path: &Path) -> Result<toml::Table> {
+        let mut resolver = Resolver {
+            source: Source::read(path)?,
+            path,
+            watch: &|_| Ok(()),
+        };
+        resolver.take_sensor()?;
+        let mut values: toml::Table = resolver.source.values()?;
+        values.remove("sensor");
+        values.remove("data_sheet");
+        Ok(values)
+    }
+
     /// The scene of another text with the same part, whose mesh and copies are shared and not read again.
     pub(crate) fn of_same_part(&self, text: String) -> Result<Scene> {
         let source = Source::parse(&self.path, text)?;

@@ -1,0 +1,348 @@
+//! What `check` says of a scene, as a page of text.
+
+use super::check::Checked;
+use super::forecast::Forecast;
+use super::reason::Warning;
+use super::sensor_figures::SensorFigures;
+use crate::camera::Camera;
+use crate::error::printable;
+use crate::laser::FanProfile;
+use crate::mesh::{self, MeshReport};
+use crate::plan::rules::{Effect, Plan};
+use crate::report::chart::short;
+use crate::scene::{Motion, Moves, Origin, Scene, SolvedValue};
+use crate::surface::{Ggx, Lobe, Surface};
+use indicatif::{DecimalBytes, HumanDuration};
+use std::fmt::Write;
+use std::time::Duration;
+
+/// Each warning as a line.
+pub fn warning_lines(warnings: &[Warning]) -> String {
+    let line = |warning: &Warning| format!("warning: {}\n", warning.message);
+    warnings.iter().map(line).collect()
+}
+
+/// What is known of a scene, in words.
+pub fn check_text(checked: &Checked) -> String {
+    let scene = &checked.scene;
+    let mut text = format!("{}\n\n", scene.path.display());
+    text += &match checked.warnings.as_slice() {
+        [] => "No warnings: the sensor measures the part on this path.\n".to_owned(),
+        warnings => warning_lines(warnings),
+    };
+    let _ = write!(text, "\nPart\n{}", part(scene, &mesh::report(&scene.mesh)));
+    let _ = write!(text, "\nSensor\n{}", sensor(scene, checked));
+    let _ = write!(text, "\nScan\n{}", path(scene));
+    let _ = write!(
+        text,
+        "\nThe whole scan, about\n{}",
+        whole_scan(&checked.forecast)
+    );
+    text.push_str("\nWhat is simulated\n");
+    for effect in &checked.plan.effects {
+        text += &effect_lines(effect);
+    }
+    if let Some(accuracy) = &checked.plan.accuracy {
+        text += &line(
+            "accuracy",
+            &format!(
+                "tolerance {} µm: {}; {} ms a frame on one core",
+                accuracy.tolerance_um,
+                accuracy.statement,
+                short(accuracy.cost_ms)
+            ),
+        );
+    }
+    text + &sheet(checked.sensor.as_ref())
+        + &from_data_sheet(scene)
+        + &scheimpflug(scene, &checked.plan)
+}
+
+fn line(name: &str, value: &str) -> String {
+    format!("  {name:<18}{value}\n")
+}
+
+fn part(scene: &Scene, mesh: &MeshReport) -> String {
+    let mut text = String::new();
+    for row in mesh.to_string().lines() {
+        let _ = writeln!(text, "  {row}");
+    }
+    if let Some(unit) = scene.mesh_unit {
+        text += &line("unit of the file", &unit.to_string());
+    }
+    if scene.copies.len() > 1 {
+        let size = scene.bounds().size();
+        let [x, y, z] = size.to_array().map(short);
+        let copies = scene.copies.len();
+        text += &line("copies", &format!("{copies}, together {x} × {y} × {z} mm"));
+    }
+    let kinds = scene.surface.kinds().iter();
+    let counts = scene.surface.counts(mesh.triangles);
+    for (kind, count) in kinds.zip(counts) {
+        if scene.surface.kinds().len() > 1 {
+            let name = kind
+                .name
+                .as_deref()
+                .map_or("all others".to_owned(), printable::short);
+            text += &line("triangles", &format!("{count} of {name}, whose surface is"));
+        }
+        text += &surface(&kind.surface);
+    }
+    text
+}
+
+fn surface(surface: &Surface) -> String {
+    let glossy = match surface {
+        Surface::Lambert(matt) => return line("reflectance", &short(matt.reflectance)),
+        Surface::Glossy(glossy) => glossy,
+    };
+    let rough = |facets: &Ggx| match facets.is_isotropic() {
+        true => format!("roughness {}", short(facets.along)),
+        false => {
+            let (along, across) = (short(facets.along), short(facets.across));
+            format!("roughness {along} along the lay, {across} across it")
+        }
+    };
+    let words = |(share, lobe): &(f64, Lobe)| {
+        let what = match lobe {
+            Lobe::Matt(matt) => format!("matt, reflectance {}", short(matt.reflectance)),
+            Lobe::Metal(metal) => {
+                let (n, k) = (short(metal.n), short(metal.k));
+                format!("metal of n = {n}, k = {k}, {}", rough(&metal.facets))
+            }
+            Lobe::Coat(coat) => {
+                let (index, reflectance) = (short(coat.index), short(coat.reflectance));
+                let rough = rough(&coat.facets);
+                format!("coat of n = {index}, {rough}, over reflectance {reflectance}")
+            }
+        };
+        line("surface", &format!("{} of it {what}", short(*share)))
+    };
+    glossy.lobes.iter().map(words).collect()
+}
+
+fn sensor(scene: &Scene, checked: &Checked) -> String {
+    let Camera { sensor, lens, .. } = &scene.camera;
+    let beam = &scene.laser.beam;
+    let shape = match &scene.laser.fan {
+        None => "a point".to_owned(),
+        Some(fan) => format!(
+            "a line of {}°, {}",
+            short(fan.angle.to_degrees()),
+            match fan.profile {
+                FanProfile::Uniform => "uniform",
+                FanProfile::Gaussian => "Gaussian",
+            }
+        ),
+    };
+    let laser = format!(
+        "{} nm, {} mW, {shape}; waist of {} µm (1/e² radius) at {} mm",
+        short(beam.wavelength * 1e6),
+        short(beam.power_mw),
+        short(beam.waist_radius * 1e3),
+        short(beam.waist_distance)
+    );
+    let camera = format!(
+        "{} × {} pixels of {} µm; {} mm f/{}, focused at {} mm; exposure {} ms",
+        sensor.resolution.x,
+        sensor.resolution.y,
+        short(sensor.pixel_pitch * 1e3),
+        short(lens.focal_length),
+        short(lens.f_number),
+        short(lens.focus_distance),
+        short(sensor.exposure_ms)
+    );
+    let plan = &checked.plan;
+    line("laser", &laser)
+        + &line("camera", &camera)
+        + &line(
+            "height per pixel",
+            &format!("{} µm", short(1e3 / plan.px_per_mm)),
+        )
+        + &line(
+            "laser line",
+            &format!(
+                "{} px wide (1/e²) in the image; speckle grain {}",
+                short(2.0 * plan.line_half_width_px),
+                plan.grain
+            ),
+        )
+}
+
+fn path(scene: &Scene) -> String {
+    let scan = &scene.scan;
+    let mover = match scan.moves {
+        Moves::Head => "the sensor",
+        Moves::Part => "the part",
+    };
+    let path = match &scan.motion {
+        Motion::Linear { step } => {
+            let step = step.length();
+            let way = step * f64::from(scan.frames - 1);
+            let (step, way) = (short(step), short(way));
+            format!("{mover} moves {step} mm from frame to frame, {way} mm in all")
+        }
+        Motion::Rotary { step_deg, .. } => {
+            format!("{mover} turns by {}° from frame to frame", short(*step_deg))
+        }
+        Motion::Poses { file, .. } => format!("{mover} follows {}", file.display()),
+    };
+    line("frames", &scan.frames.to_string())
+        + &line("path", &path)
+        + &line("seed", &scene.seed.to_string())
+}
+
+fn effect_lines(effect: &Effect) -> String {
+    let modelled = match effect.modelled {
+        true => "simulated",
+        false => "left out",
+    };
+    let moves = effect
+        .influence_um
+        .map(|um| format!("moves heights by {} µm", short(um)));
+    let unknown = effect
+        .cost_ms
+        .map(|_| "moves heights by an unknown amount".to_owned());
+    let cost = effect
+        .cost_ms
+        .map(|ms| format!("takes {} ms a frame", short(ms)));
+    let numbers: Vec<String> = moves.or(unknown).into_iter().chain(cost).collect();
+    let numbers = match numbers.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", numbers.join(", ")),
+    };
+    format!(
+        "  {:<32}{modelled:<11}{}{numbers}\n{:>45}{}\n",
+        effect.effect.name(),
+        effect.method,
+        "",
+        effect.why
+    )
+}
+
+/// The sensor as its own data sheet would have it.
+fn sheet(figures: Option<&SensorFigures>) -> String {
+    let mut text = "\nThe sensor on a page\n".to_owned();
+    let Some(figures) = figures else {
+        return text
+            + &line(
+                "measuring range",
+                "none: the camera sees nothing of the laser's light",
+            );
+    };
+    let [near, far] = figures.ends();
+    text += &line(
+        "stand-off",
+        &format!("{} mm, to the near end of the measuring range", short(near)),
+    );
+    text += &line(
+        "measuring range",
+        &format!("{} mm, to {} mm", short(far - near), short(far)),
+    );
+    let angle = format!(
+        "{}°, camera {} mm beside the laser's axis",
+        short(figures.triangulation_deg),
+        short(figures.baseline_mm)
+    );
+    text += &line("triangulation", &angle);
+    let sharp = match figures.in_focus_mm {
+        None => "nowhere in the range: the lens's blur is wider than the line".to_owned(),
+        Some([first, last]) if first <= near && last >= far => {
+            "the whole range: the lens's blur is narrower than the line".to_owned()
+        }
+        Some([first, last]) => format!(
+            "from {} to {} mm the lens's blur is narrower than the line",
+            short(first),
+            short(last)
+        ),
+    };
+    text += &line("depth of field", &sharp);
+    text += &match &figures.light {
+        None => line("light on the part", "none that the camera sees"),
+        Some(light) => line(
+            "light on the part",
+            &format!(
+                "{} counts in the line's middle (95 % below {}), {} are full: {} % of it saturates",
+                short(light.median),
+                short(light.bright),
+                short(light.full_scale),
+                short(100.0 * light.saturated_share)
+            ),
+        ),
+    };
+    text += &line(
+        "profiles",
+        &format!(
+            "at most {} a second, by the exposure",
+            short(figures.profiles_per_second)
+        ),
+    );
+    text += "\n  from the laser, mm    field, mm    µm/px in x    µm/px in z    line, µm    line, px    blur, px\n";
+    for place in figures.places.iter().step_by(2) {
+        let [left, right] = place.field_mm;
+        let [x, z] = place.um_per_px.map(short);
+        let _ = writeln!(
+            text,
+            "  {:>18}{:>13}{x:>14}{z:>14}{:>12}{:>12}{:>12}",
+            short(place.distance_mm),
+            short(right - left),
+            short(place.line_um),
+            short(place.line_px),
+            short(place.blur_px)
+        );
+    }
+    text
+}
+
+/// What was worked out from a data sheet, and why.
+fn from_data_sheet(scene: &Scene) -> String {
+    let mut text = String::new();
+    for value in &scene.sensor {
+        let SolvedValue { key, value, origin } = value;
+        let why = match origin {
+            Origin::Given => "given",
+            Origin::Solved => "follows from the data sheet",
+            Origin::Assumed => "ASSUMED",
+        };
+        text += &format!("  {why:<28}{key} = {value}\n");
+    }
+    match text.is_empty() {
+        true => text,
+        false => format!("\nFrom the data sheet, where scene and sensor say nothing else\n{text}"),
+    }
+}
+
+fn scheimpflug(scene: &Scene, plan: &Plan) -> String {
+    let (Some([x, y]), Some(distance)) = (plan.scheimpflug_tilt_deg, plan.laser_plane_distance_mm)
+    else {
+        return String::new();
+    };
+    let Camera { lens, tilt, .. } = &scene.camera;
+    let off = tilt.to_array().map(f64::to_degrees);
+    let focused = (0..2).all(|i| (off[i] - [x, y][i]).abs() < 1e-3);
+    if focused && (lens.focus_distance / distance - 1.0).abs() < 1e-5 {
+        return "\nThe whole laser plane is in focus.\n".to_owned();
+    }
+    // A tilt of rounding's size is none.
+    let [x, y] = [x, y].map(|tilt| if tilt.abs() < 5e-5 { 0.0 } else { tilt });
+    format!(
+        "\nTo have the whole laser plane in focus: camera.focus = \"laser-plane\", which is camera.tilt_deg = \
+         [{x:.4}, {y:.4}] and camera.focus_distance_mm = {distance:.3}\n"
+    )
+}
+
+/// What the whole scan takes.
+fn whole_scan(forecast: &Forecast) -> String {
+    let bytes = |bytes: u64| DecimalBytes(bytes).to_string();
+    let free = match forecast.memory_available_bytes {
+        Some(available) if forecast.fits() => format!(" ({} are free)", bytes(available)),
+        Some(available) => format!(": MORE THAN THE {} THAT ARE FREE", bytes(available)),
+        None => String::new(),
+    };
+    let time =
+        HumanDuration(Duration::try_from_secs_f64(forecast.seconds).unwrap_or(Duration::MAX));
+    let time = format!("{time} with threads: {}", forecast.threads);
+    line("memory", &format!("{}{free}", bytes(forecast.memory_bytes)))
+        + &line("disk", &bytes(forecast.disk_bytes))
+        + &line("time", &time)
+}

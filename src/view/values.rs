@@ -1,0 +1,270 @@
+//! The values that the page changes, and the scene file that has them.
+
+use super::refused::{Answer, Refused};
+use crate::accel::Backend;
+use crate::error::{Error, Result};
+use crate::math::{DMat3, DVec3, Rigid};
+use crate::report::live::Slider;
+use crate::run::surface_view::surface_view;
+use crate::scene::{Scene, set_value};
+use serde::Deserialize;
+use std::path::Path;
+use toml::{Table, Value};
+
+/// What the page asks for: a frame, and values in place of the scene's own; those that are not given stay.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Values {
+    /// Frame of the scan.
+    pub frame: u32,
+    /// Exposure, ms.
+    pub exposure_ms: Option<f64>,
+    /// f-number of the lens.
+    pub f_number: Option<f64>,
+    /// Power of the laser, mW.
+    pub power_mw: Option<f64>,
+    /// Angle between the laser's axis and the line from where the camera looks on the laser's plane to the camera.
+    pub angle_deg: Option<f64>,
+    /// How far the head is moved, world's frame, mm.
+    pub x_mm: Option<f64>,
+    /// The same along y.
+    pub y_mm: Option<f64>,
+    /// The same along z.
+    pub z_mm: Option<f64>,
+    /// How far the head is turned about its own x, then y, then z axis, degrees.
+    pub rx_deg: Option<f64>,
+    /// The same about y.
+    pub ry_deg: Option<f64>,
+    /// The same about z.
+    pub rz_deg: Option<f64>,
+}
+
+/// A scene file's values, and where laser and camera are by them.
+pub struct Base {
+    table: Table,
+    head_from_laser: Rigid,
+    head_from_camera: Rigid,
+    /// Where the camera looks on the laser's plane, head's frame, mm.
+    middle: DVec3,
+    start: DVec3,
+}
+
+/// Keys of files: named by full paths, so that the scene may be saved anywhere.
+const FILES: [&str; 4] = [
+    "part.mesh.file",
+    "part.copies",
+    "scan.poses",
+    "measure.calibration",
+];
+/// Positions in the head's frame, and directions.
+const POSITIONS: [&str; 3] = [
+    "laser.position_mm",
+    "camera.position_mm",
+    "camera.look_at_mm",
+];
+const DIRECTIONS: [&str; 3] = ["laser.direction", "laser.line.direction", "camera.columns"];
+/// Ends of the slider of a value that may be any number above 0, as shares of the scene's.
+const RATIOS: f64 = 32.0;
+
+impl Base {
+    /// Of a scene that was read from a file; what of it was changed since is in the values too.
+    pub fn new(scene: &Scene) -> Result<Base> {
+        let mut table = Scene::values(&scene.path)?;
+        let folder = scene.path.parent().unwrap_or(Path::new(""));
+        for key in FILES {
+            if let Some(Value::String(name)) = at(&mut table, key) {
+                let path = std::path::absolute(folder.join(&*name));
+                *name = path.map_or(name.clone(), |path| path.to_string_lossy().into_owned());
+            }
+        }
+        table.insert("seed".to_owned(), Value::Integer(scene.seed as i64));
+        let mut base = Base {
+            table,
+            head_from_laser: scene.head_from_laser,
+            head_from_camera: scene.head_from_camera,
+            middle: surface_view(scene, None).point,
+            start: scene.scan.start,
+        };
+        if scene.methods.accel.is_some() || scene.accel != Backend::default() {
+            let name = Value::try_from(scene.accel).expect("a name is TOML");
+            set(&mut base.table, "plan.accel", Some(name))?;
+        }
+        Ok(base)
+    }
+
+    /// The sliders, at the values of a scene whose exposure is set.
+    pub fn sliders(&self, scene: &Scene) -> Vec<Slider> {
+        let range = |key, label, start, ends, ratios| Slider {
+            key,
+            label,
+            start,
+            ends,
+            ratios,
+        };
+        let above_zero = |key, label, start: f64| {
+            range(key, label, start, [start / RATIOS, start * RATIOS], true)
+        };
+        let size = scene.bounds().size().max_element();
+        let moved = |key, label| range(key, label, 0.0, [-size, size], false);
+        let turned = |key, label| range(key, label, 0.0, [-45.0, 45.0], false);
+        let frames = f64::from(scene.scan.frames - 1);
+        vec![
+            range("frame", "frame", 0.0, [0.0, frames], false),
+            above_zero(
+                "exposure_ms",
+                "exposure, ms",
+                scene.camera.sensor.exposure_ms,
+            ),
+            range(
+                "f_number",
+                "f-number",
+                scene.camera.lens.f_number,
+                [1.0, 64.0],
+                true,
+            ),
+            above_zero("power_mw", "laser power, mW", scene.laser.beam.power_mw),
+            range(
+                "angle_deg",
+                "triangulation angle, °",
+                self.angle().to_degrees(),
+                [5.0, 75.0],
+                false,
+            ),
+            moved("x_mm", "head moved along x, mm"),
+            moved("y_mm", "along y, mm"),
+            moved("z_mm", "along z, mm"),
+            turned("rx_deg", "head turned about x, °"),
+            turned("ry_deg", "about y, °"),
+            turned("rz_deg", "about z, °"),
+        ]
+    }
+
+    /// The camera beside the beam, along the laser's y axis, and up it, seen from the middle.
+    fn camera(&self) -> [f64; 2] {
+        let up = self.head_from_camera.translation - self.middle;
+        let laser = &self.head_from_laser.rotation;
+        [up.dot(laser.y_axis), -up.dot(laser.z_axis)]
+    }
+
+    /// Triangulation angle of the scene, rad.
+    fn angle(&self) -> f64 {
+        let [beside, up] = self.camera();
+        beside.abs().atan2(up)
+    }
+
+    /// The text (TOML) of the scene with these values.
+    pub fn text(&self, values: &Values) -> Answer<String> {
+        let mut table = self.table.clone();
+        if let Some(exposure) = values.exposure_ms {
+            for other in ["exposure", "exposure_share"] {
+                // It may not be there.
+                let _ = set(&mut table, &format!("camera.{other}"), None);
+            }
+            set(&mut table, "camera.exposure_ms", Some(exposure.into()))?;
+        }
+        let plain = [
+            ("camera.f_number", values.f_number),
+            ("laser.power_mw", values.power_mw),
+        ];
+        for (key, value) in plain {
+            if let Some(value) = value {
+                set(&mut table, key, Some(value.into()))?;
+            }
+        }
+        let moved = given("mm", [values.x_mm, values.y_mm, values.z_mm])?;
+        if moved != DVec3::ZERO {
+            set(&mut table, "scan.start_mm", Some(list(self.start + moved)))?;
+        }
+        let turn = given("deg", [values.rx_deg, values.ry_deg, values.rz_deg])?;
+        let turned = Rigid::from_euler_xyz(turn.map(f64::to_radians), DVec3::ZERO);
+        let swung = self.swung(values.angle_deg)?;
+        if turn == DVec3::ZERO && swung == Rigid::IDENTITY {
+            return Ok(toml::to_string(&table).expect("a scene was TOML"));
+        }
+        for key in POSITIONS.into_iter().chain(DIRECTIONS) {
+            let Some(old) = at(&mut table, key) else {
+                continue;
+            };
+            let Some(place) = vector(old) else { continue };
+            let camera = if key.starts_with("camera") {
+                swung
+            } else {
+                Rigid::IDENTITY
+            };
+            let motion = turned * camera;
+            *old = list(match POSITIONS.contains(&key) {
+                true => motion.point(place),
+                false => motion.vector(place),
+            });
+        }
+        Ok(toml::to_string(&table).expect("a scene was TOML"))
+    }
+
+    /// How the camera swings about the line, through the middle of what it sees, to have this angle.
+    fn swung(&self, angle_deg: Option<f64>) -> Answer<Rigid> {
+        let Some(angle) = angle_deg.filter(|&angle| angle != self.angle().to_degrees()) else {
+            return Ok(Rigid::IDENTITY);
+        };
+        if !(1.0..=89.0).contains(&angle) {
+            return Err(Refused::value(
+                "angle_deg",
+                angle,
+                "an angle from 1 to 89 degrees",
+            ));
+        }
+        // A positive turn about x takes what is up the beam to the side of y.
+        let side = if self.camera()[0] < 0.0 { -1.0 } else { 1.0 };
+        let by = (angle.to_radians() - self.angle()) * side;
+        let rotation = DMat3::from_axis_angle(self.head_from_laser.rotation.x_axis, by);
+        Ok(Rigid {
+            rotation,
+            translation: self.middle - rotation * self.middle,
+        })
+    }
+}
+
+fn set(table: &mut Table, key: &str, value: Option<Value>) -> Result<()> {
+    let mut root = Value::Table(std::mem::take(table));
+    let done = set_value(&mut root, key, value);
+    if let Value::Table(changed) = root {
+        *table = changed;
+    }
+    done.map_err(Error::Usage)
+}
+
+/// What stands at a dotted key.
+fn at<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
+    match key.split_once('.') {
+        None => table.get_mut(key),
+        Some((first, rest)) => at(table.get_mut(first)?.as_table_mut()?, rest),
+    }
+}
+
+/// Three numbers of a list.
+fn vector(value: &Value) -> Option<DVec3> {
+    let number = |value: &Value| value.as_float().or(value.as_integer().map(|n| n as f64));
+    let numbers: Option<Vec<f64>> = value.as_array()?.iter().map(number).collect();
+    Some(DVec3::from_array(numbers?.try_into().ok()?))
+}
+
+fn list(vector: DVec3) -> Value {
+    Value::Array(vector.to_array().map(Value::Float).to_vec())
+}
+
+/// Three values, 0 where they are not given.
+fn given(unit: &str, values: [Option<f64>; 3]) -> Answer<DVec3> {
+    let axes = match unit {
+        "mm" => ["x_mm", "y_mm", "z_mm"],
+        _ => ["rx_deg", "ry_deg", "rz_deg"],
+    };
+    for (axis, value) in axes.into_iter().zip(values) {
+        if let Some(value) = value.filter(|value| !value.is_finite() || value.abs() > 1e6) {
+            return Err(Refused::value(
+                axis,
+                value,
+                "a number from -1000000 to 1000000",
+            ));
+        }
+    }
+    Ok(DVec3::from_array(values.map(Option::unwrap_or_default)))
+}

@@ -1,0 +1,239 @@
+//! A session over HTTP.
+
+use super::guard::own_pages;
+use super::refused::{Answer, Refused};
+use super::session::{Picture, Session};
+use super::values::Values;
+use crate::error::{Error, Result};
+use crate::report::live::{self, LivePage};
+use axum::Router;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware::{from_fn, map_response};
+use axum::response::{IntoResponse, Json, Response};
+use axum::routing::get;
+use std::net::TcpListener;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::sync::Semaphore;
+use tokio::task::spawn_blocking;
+
+/// Requests that may wait at once. A page has two at most.
+const MOST_WAITING: usize = 32;
+/// How often it is asked whether to stop.
+const ASKED_EVERY: Duration = Duration::from_millis(50);
+
+/// What requests share.
+#[derive(Clone)]
+struct View {
+    session: Arc<Session>,
+    waiting: Arc<Semaphore>,
+    /// One draft at a time, and one final picture beside it: a search for a plan must not hold drafts up.
+    drafts: Arc<Semaphore>,
+    finals: Arc<Semaphore>,
+}
+
+type Asked = std::result::Result<Query<Values>, QueryRejection>;
+
+/// The page of a session and what it asks for, by addresses relative to its own, which ends with "/". Answers
+/// those alone who ask from this machine, from the page itself.
+pub fn router(session: Arc<Session>) -> Router {
+    let view = View {
+        session,
+        waiting: Arc::new(Semaphore::new(MOST_WAITING)),
+        drafts: Arc::new(Semaphore::new(1)),
+        finals: Arc::new(Semaphore::new(1)),
+    };
+    Router::new()
+        .route("/", get(page))
+        .route("/live.js", get(|| file("text/javascript", live::SCRIPT)))
+        .route("/viewer.js", get(|| file("text/javascript", live::VIEWER)))
+        .route("/live.css", get(|| file("text/css", live::STYLE)))
+        .route("/draft", get(draft))
+        .route("/final", get(last))
+        .route("/check", get(check))
+        .route("/picture.png", get(png))
+        .route("/scene.toml", get(scene))
+        .with_state(view)
+        .layer(map_response(headers))
+        .layer(from_fn(own_pages))
+}
+
+/// Answers on a listener until `stop`.
+///
+/// # Errors
+/// The system gives no threads, or takes the listener away.
+pub fn serve(
+    session: Arc<Session>,
+    listener: TcpListener,
+    stop: &'static AtomicBool,
+) -> Result<()> {
+    let failed = |error: std::io::Error| Error::Exhausted(format!("cannot answer: {error}"));
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()
+        .map_err(failed)?;
+    let done = runtime.block_on(async move {
+        listener.set_nonblocking(true)?;
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let stopped = async {
+            while !stop.load(Ordering::Relaxed) {
+                tokio::time::sleep(ASKED_EVERY).await;
+            }
+        };
+        // Pages keep their connections open: there is nothing to wait for.
+        tokio::select! {
+            done = axum::serve(listener, router(session)) => done,
+            () = stopped => Ok(()),
+        }
+    });
+    // A picture in work is for nobody.
+    runtime.shutdown_background();
+    done.map_err(Error::io("listen on", Path::new("the address")))
+}
+
+/// Works on a session in its turn, or not at all where the one who asks has gone before that.
+async fn work<T: Send + 'static>(
+    view: View,
+    turn: Arc<Semaphore>,
+    work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
+) -> Answer<T> {
+    let waiting = view.waiting.try_acquire_owned();
+    let waiting = waiting.map_err(|_| Refused::busy())?;
+    let turn = turn.acquire_owned().await.expect("it is never closed");
+    let done = spawn_blocking(move || {
+        // The turn is over when the work is, even if nobody waits for it any more.
+        let _held = (waiting, turn);
+        view.session.install(|| work(&view.session))
+    });
+    done.await.unwrap_or_else(|_| Err(Refused::fault()))
+}
+
+async fn page(State(view): State<View>) -> Answer<Response> {
+    let turn = view.finals.clone();
+    let html = work(view, turn, |session| {
+        let scene = session.scene();
+        let page = LivePage {
+            title: scene.path.display().to_string(),
+            part: scene.part.clone(),
+            sliders: session.sliders(),
+            viewer: session.viewer(),
+        };
+        Ok(page.html())
+    });
+    Ok((
+        [(header::CONTENT_TYPE, "text/html; charset=utf-8")],
+        html.await?,
+    )
+        .into_response())
+}
+
+async fn file(kind: &'static str, content: &'static str) -> Response {
+    (
+        [(header::CONTENT_TYPE, format!("{kind}; charset=utf-8"))],
+        content,
+    )
+        .into_response()
+}
+
+async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
+    let Query(values) = asked?;
+    let turn = view.drafts.clone();
+    let picture = work(view, turn, move |session| session.draft(&values));
+    Ok(packed(&picture.await?))
+}
+
+async fn last(State(view): State<View>, asked: Asked) -> Answer<Response> {
+    let Query(values) = asked?;
+    let turn = view.finals.clone();
+    let picture = work(view, turn, move |session| session.last(&values));
+    Ok(packed(&picture.await?))
+}
+
+async fn check(State(view): State<View>, asked: Asked) -> Answer<Response> {
+    let Query(values) = asked?;
+    let turn = view.finals.clone();
+    let page = work(view, turn, move |session| session.check(&values));
+    Ok(Json(page.await?).into_response())
+}
+
+async fn png(State(view): State<View>, asked: Asked) -> Answer<Response> {
+    let Query(values) = asked?;
+    let turn = view.finals.clone();
+    let name = format!("frame-{:06}.png", values.frame);
+    let png = work(view, turn, move |session| session.png(&values));
+    Ok(download("image/png", &name, png.await?))
+}
+
+async fn scene(State(view): State<View>, asked: Asked) -> Answer<Response> {
+    let Query(values) = asked?;
+    let turn = view.drafts.clone();
+    let text = work(view, turn, move |session| session.scene_file(&values));
+    Ok(download(
+        "application/toml",
+        "scene.toml",
+        text.await?.into_bytes(),
+    ))
+}
+
+fn download(kind: &'static str, name: &str, content: Vec<u8>) -> Response {
+    let save = format!("attachment; filename=\"{name}\"");
+    let headers = [
+        (header::CONTENT_TYPE, kind.to_owned()),
+        (header::CONTENT_DISPOSITION, save),
+    ];
+    (headers, content).into_response()
+}
+
+/// Length of the head (four bytes, little-endian), the head as JSON, the image.
+fn packed(picture: &Picture) -> Response {
+    let head = serde_json::to_vec(picture).expect("a picture's head is JSON");
+    let mut bytes = (head.len() as u32).to_le_bytes().to_vec();
+    bytes.extend(head);
+    bytes.extend(&picture.image);
+    ([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response()
+}
+
+/// Nothing from elsewhere is loaded, and nobody else shows the page or reads an answer.
+async fn headers(mut response: Response) -> Response {
+    const HEADERS: [(HeaderName, &str); 5] = [
+        (header::CACHE_CONTROL, "no-store"),
+        (
+            header::CONTENT_SECURITY_POLICY,
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
+             base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+        ),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (
+            HeaderName::from_static("cross-origin-resource-policy"),
+            "same-origin",
+        ),
+    ];
+    for (name, value) in HEADERS {
+        let all = response.headers_mut();
+        all.insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+impl From<QueryRejection> for Refused {
+    fn from(rejection: QueryRejection) -> Refused {
+        Refused {
+            key: None,
+            message: rejection.body_text(),
+            status: 400,
+        }
+    }
+}
+
+impl IntoResponse for Refused {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.status).expect("these are HTTP's");
+        (status, Json(self)).into_response()
+    }
+}
