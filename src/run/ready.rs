@@ -109,12 +109,11 @@ impl Simulation {
     }
 
     /// One of another scene with the same part, to look at one frame while values change: the plan is made by the
-    /// rules for what that frame shows, without the search for the cheapest one.
+    /// rules for what that frame shows, without the search for the cheapest one, and uncertainties are those of this
+    /// simulation's sensor.
     pub(crate) fn draft(&self, scene: &Scene, frame: u32) -> Result<Simulation> {
         let scene = &exposed(scene, &self.accel);
-        let plan = draft_plan(scene, &self.accel, frame);
-        let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
-        Ok(other.with_clusters_of(self))
+        self.drafted(scene, draft_plan(scene, &self.accel, frame))
     }
 
     /// One that traces every sample, to the same bytes.

@@ -45,7 +45,7 @@ pub struct Simulation {
     clusters: Option<Arc<Clusters>>,
     /// The scene's sensor, without noise if the plan leaves it out.
     readout: Readout,
-    pub(crate) errors: ErrorModel,
+    pub(crate) errors: Arc<ErrorModel>,
     /// `None`: profiles come from images.
     pub(crate) sheet: Option<Sheet>,
 }
@@ -61,19 +61,20 @@ impl Simulation {
 
     /// One that does what `plan` says.
     pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
-        if !plan.geometry_only {
-            need::require_images(scene, 1)?;
-        }
-        let speckle = match (&scene.speckle, plan.speckle) {
-            (Some(model), Some(method)) => {
-                let model = SpeckleModel { method, ..*model };
-                let wider = plan.wider();
-                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips, wider)?;
-                Some(Arc::new(patterns))
-            }
-            _ => None,
-        };
-        Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+        let speckle = patterns(scene, &accel, &plan)?;
+        let errors = Arc::new(error_model(scene, plan.blur));
+        Ok(Simulation::with_patterns(
+            scene, accel, plan, speckle, errors,
+        ))
+    }
+
+    /// One of another scene with the same part. What is stated of errors is what this one states: to work that out
+    /// takes longer than a frame.
+    pub(crate) fn drafted(&self, scene: &Scene, plan: Plan) -> Result<Simulation> {
+        let (accel, errors) = (self.accel.clone(), self.errors.clone());
+        let speckle = patterns(scene, &accel, &plan)?;
+        let other = Simulation::with_patterns(scene, accel, plan, speckle, errors);
+        Ok(other.with_clusters_of(self))
     }
 
     /// The same done by another plan; patterns of speckle are shared where both have the
@@ -82,7 +83,8 @@ impl Simulation {
         let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips, plan.wider());
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
-            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared)
+            let errors = Arc::new(error_model(&self.scene, plan.blur));
+            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared, errors)
         } else {
             Simulation::with_plan(&self.scene, self.accel.clone(), plan)?
         };
@@ -102,6 +104,7 @@ impl Simulation {
         accel: Arc<Accel>,
         plan: Plan,
         speckle: Option<Arc<ScanSpeckle>>,
+        errors: Arc<ErrorModel>,
     ) -> Simulation {
         let mut sensor = scene.camera.sensor.clone();
         sensor.noise = sensor.noise.filter(|_| plan.noise);
@@ -116,7 +119,7 @@ impl Simulation {
             speckle,
             clusters: None,
             readout: Readout::new(sensor, scene.laser.beam.wavelength),
-            errors: error_model(scene, plan.blur),
+            errors,
             sheet: scene
                 .laser
                 .fan
@@ -250,6 +253,19 @@ impl Simulation {
         let (region, key) = (self.region(), self.noise(pose.frame));
         frame::take(self.views(pose), &region, &self.readout, key)
     }
+}
+
+/// The patterns of speckle that a plan asks for. Errors: no image fits into memory.
+fn patterns(scene: &Scene, accel: &Accel, plan: &Plan) -> Result<Option<Arc<ScanSpeckle>>> {
+    if !plan.geometry_only {
+        need::require_images(scene, 1)?;
+    }
+    let (Some(model), Some(method)) = (&scene.speckle, plan.speckle) else {
+        return Ok(None);
+    };
+    let model = SpeckleModel { method, ..*model };
+    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.wider())?;
+    Ok(Some(Arc::new(patterns)))
 }
 
 /// What of the part the laser lights and the camera sees along the path, in which of its
