@@ -28,7 +28,7 @@ from report_touch import Browser, check, chromium
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 # A wait's end: far beyond what a picture takes on a busy machine, so that only what never comes fails.
-PATIENCE_S = 120
+PATIENCE_S = 600
 
 
 def scene_of(columns, rows, folder):

@@ -68,15 +68,6 @@ impl Simulation {
         ))
     }
 
-    /// One of another scene with the same part. What is stated of errors is what this one states: to work that out
-    /// takes longer than a frame.
-    pub(crate) fn drafted(&self, scene: &Scene, plan: Plan) -> Result<Simulation> {
-        let (accel, errors) = (self.accel.clone(), self.errors.clone());
-        let speckle = patterns(scene, &accel, &plan)?;
-        let other = Simulation::with_patterns(scene, accel, plan, speckle, errors);
-        Ok(other.with_clusters_of(self))
-    }
-
     /// The same done by another plan; patterns of speckle are shared where both have the
     /// same.
     pub(crate) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
@@ -99,7 +90,7 @@ impl Simulation {
         }
     }
 
-    fn with_patterns(
+    pub(super) fn with_patterns(
         scene: &Scene,
         accel: Arc<Accel>,
         plan: Plan,
@@ -256,7 +247,11 @@ impl Simulation {
 }
 
 /// The patterns of speckle that a plan asks for. Errors: no image fits into memory.
-fn patterns(scene: &Scene, accel: &Accel, plan: &Plan) -> Result<Option<Arc<ScanSpeckle>>> {
+pub(super) fn patterns(
+    scene: &Scene,
+    accel: &Accel,
+    plan: &Plan,
+) -> Result<Option<Arc<ScanSpeckle>>> {
     if !plan.geometry_only {
         need::require_images(scene, 1)?;
     }
@@ -277,7 +272,7 @@ pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
     InView::along(&optics, accel, scene.scan.frames, part_from_laser)
 }
 
-fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
+pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
     Optics {
         laser: &scene.laser,
         camera: &scene.camera,
@@ -292,18 +287,8 @@ pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
     plan_for(scene, part_in_view(scene, accel).places)
 }
 
-/// The same for one frame alone.
-pub(crate) fn plan_of_frame(scene: &Scene, accel: &Accel, frame: u32) -> Plan {
-    let camera_from_laser = camera_from_laser(scene);
-    let optics = optics(scene, &camera_from_laser);
-    let part_from_laser = scene.part_from_head(frame) * scene.head_from_laser;
-    plan_for(
-        scene,
-        InView::along(&optics, accel, 1, |_| part_from_laser).places,
-    )
-}
-
-fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
+/// The plan by the rules for these places, laser frame.
+pub(super) fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
     if places.is_empty() {
