@@ -28,7 +28,7 @@ from report_touch import Browser, check, chromium
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 # A wait's end: far beyond what a picture takes on a busy machine, so that only what never comes fails.
-PATIENCE_S = 120
+PATIENCE_S = 600
 
 
 def scene_of(columns, rows, folder):
@@ -351,7 +351,7 @@ def main():
     if not chrome:
         print("Chromium: not installed, SKIPPED: no slider was dragged")
         return
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as profile:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, tempfile.TemporaryDirectory() as profile:
         browser = Browser(chrome, profile)
         try:
             if "--measure" in sys.argv:

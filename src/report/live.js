@@ -133,7 +133,7 @@
         if (drawn >= number) continue;
         show(bytes);
         say(`Draft: ${Math.round(performance.now() - start)} ms, of them ${Math.round(head.took_ms)} to make it. ` +
-          `Planned for this frame alone.`);
+          `Planned for this frame alone; uncertainties come with the final picture.`);
       } catch (error) {
         if (number === wanted && complain(error)) rest(AGAIN_MS);
       }

@@ -6,6 +6,8 @@ mod check;
 mod check_text;
 mod control;
 mod dataset;
+#[cfg(feature = "service")]
+mod draft;
 pub(crate) mod error_model;
 pub(crate) mod files;
 pub(crate) mod forecast;

@@ -3,7 +3,7 @@
 
 use super::methods::named;
 use super::search::{Choice, choose};
-use super::simulation::{plan, plan_of_frame};
+use super::simulation::plan;
 use crate::accel::Accel;
 use crate::error::Result;
 use crate::frame::Sampling;
@@ -85,11 +85,6 @@ fn noise_method(plan: &Plan) -> &'static str {
         true => "drawn for each pixel",
         false => "counts are the rounded expectation",
     }
-}
-
-/// The plan by the rules for one frame, whatever the tolerance.
-pub(crate) fn draft_plan(scene: &Scene, accel: &Accel, frame: u32) -> Plan {
-    named(scene, plan_of_frame(scene, accel, frame))
 }
 
 /// The same over a hierarchy that is there.

@@ -1,7 +1,7 @@
 //! From a scene to a simulation: the hierarchy built and the plan chosen.
 
 use super::control::{Control, Coverage};
-use super::planner::{draft_plan, scene_plan_with};
+use super::planner::scene_plan_with;
 use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
 use super::survey::Survey;
@@ -104,15 +104,6 @@ impl Simulation {
     pub(crate) fn of_same_part(&self, scene: &Scene) -> Result<Simulation> {
         let scene = &exposed(scene, &self.accel);
         let plan = scene_plan_with(scene, &self.accel)?;
-        let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
-        Ok(other.with_clusters_of(self))
-    }
-
-    /// One of another scene with the same part, to look at one frame while values change: the plan is made by the
-    /// rules for what that frame shows, without the search for the cheapest one.
-    pub(crate) fn draft(&self, scene: &Scene, frame: u32) -> Result<Simulation> {
-        let scene = &exposed(scene, &self.accel);
-        let plan = draft_plan(scene, &self.accel, frame);
         let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
         Ok(other.with_clusters_of(self))
     }

@@ -45,7 +45,7 @@ pub struct Simulation {
     clusters: Option<Arc<Clusters>>,
     /// The scene's sensor, without noise if the plan leaves it out.
     readout: Readout,
-    pub(crate) errors: ErrorModel,
+    pub(crate) errors: Arc<ErrorModel>,
     /// `None`: profiles come from images.
     pub(crate) sheet: Option<Sheet>,
 }
@@ -61,19 +61,11 @@ impl Simulation {
 
     /// One that does what `plan` says.
     pub(crate) fn with_plan(scene: &Scene, accel: Arc<Accel>, plan: Plan) -> Result<Simulation> {
-        if !plan.geometry_only {
-            need::require_images(scene, 1)?;
-        }
-        let speckle = match (&scene.speckle, plan.speckle) {
-            (Some(model), Some(method)) => {
-                let model = SpeckleModel { method, ..*model };
-                let wider = plan.wider();
-                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips, wider)?;
-                Some(Arc::new(patterns))
-            }
-            _ => None,
-        };
-        Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+        let speckle = patterns(scene, &accel, &plan)?;
+        let errors = Arc::new(error_model(scene, plan.blur));
+        Ok(Simulation::with_patterns(
+            scene, accel, plan, speckle, errors,
+        ))
     }
 
     /// The same done by another plan; patterns of speckle are shared where both have the
@@ -82,7 +74,8 @@ impl Simulation {
         let patterns = |plan: &Plan| (plan.speckle, plan.speckle_slips, plan.wider());
         let other = if plan.speckle.is_none() || patterns(&plan) == patterns(&self.plan) {
             let shared = self.speckle.clone().filter(|_| plan.speckle.is_some());
-            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared)
+            let errors = Arc::new(error_model(&self.scene, plan.blur));
+            Simulation::with_patterns(&self.scene, self.accel.clone(), plan, shared, errors)
         } else {
             Simulation::with_plan(&self.scene, self.accel.clone(), plan)?
         };
@@ -97,11 +90,12 @@ impl Simulation {
         }
     }
 
-    fn with_patterns(
+    pub(super) fn with_patterns(
         scene: &Scene,
         accel: Arc<Accel>,
         plan: Plan,
         speckle: Option<Arc<ScanSpeckle>>,
+        errors: Arc<ErrorModel>,
     ) -> Simulation {
         let mut sensor = scene.camera.sensor.clone();
         sensor.noise = sensor.noise.filter(|_| plan.noise);
@@ -116,7 +110,7 @@ impl Simulation {
             speckle,
             clusters: None,
             readout: Readout::new(sensor, scene.laser.beam.wavelength),
-            errors: error_model(scene, plan.blur),
+            errors,
             sheet: scene
                 .laser
                 .fan
@@ -252,6 +246,23 @@ impl Simulation {
     }
 }
 
+/// The patterns of speckle that a plan asks for. Errors: no image fits into memory.
+pub(super) fn patterns(
+    scene: &Scene,
+    accel: &Accel,
+    plan: &Plan,
+) -> Result<Option<Arc<ScanSpeckle>>> {
+    if !plan.geometry_only {
+        need::require_images(scene, 1)?;
+    }
+    let (Some(model), Some(method)) = (&scene.speckle, plan.speckle) else {
+        return Ok(None);
+    };
+    let model = SpeckleModel { method, ..*model };
+    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.wider())?;
+    Ok(Some(Arc::new(patterns)))
+}
+
 /// What of the part the laser lights and the camera sees along the path, in which of its
 /// frames; empty if never.
 pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
@@ -261,7 +272,7 @@ pub fn part_in_view(scene: &Scene, accel: &Accel) -> InView {
     InView::along(&optics, accel, scene.scan.frames, part_from_laser)
 }
 
-fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
+pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Optics<'a> {
     Optics {
         laser: &scene.laser,
         camera: &scene.camera,
@@ -276,18 +287,8 @@ pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
     plan_for(scene, part_in_view(scene, accel).places)
 }
 
-/// The same for one frame alone.
-pub(crate) fn plan_of_frame(scene: &Scene, accel: &Accel, frame: u32) -> Plan {
-    let camera_from_laser = camera_from_laser(scene);
-    let optics = optics(scene, &camera_from_laser);
-    let part_from_laser = scene.part_from_head(frame) * scene.head_from_laser;
-    plan_for(
-        scene,
-        InView::along(&optics, accel, 1, |_| part_from_laser).places,
-    )
-}
-
-fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
+/// The plan by the rules for these places, laser frame.
+pub(super) fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
     if places.is_empty() {

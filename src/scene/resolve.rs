@@ -154,6 +154,7 @@ impl Scene {
 
     /// All values of a scene file by key: its own, those of the sensor it names, and what follows from a data
     /// sheet. Errors: as of [`Scene::load`], but for what only the values together show.
+    #[cfg(feature = "service")]
     pub(crate) fn values(path: &Path) -> Result<toml::Table> {
         let mut resolver = Resolver {
             source: Source::read(path)?,

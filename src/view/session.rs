@@ -18,7 +18,7 @@ use rayon::ThreadPool;
 use serde::Serialize;
 use serde_json::Value;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// More triangles are not drawn, but as many places of the surface.
@@ -181,7 +181,9 @@ impl Session {
     pub fn draft(&self, values: &Values) -> Answer<Picture> {
         let start = Instant::now();
         let scene = self.changed(&self.base.text(values)?, values)?;
-        let simulation = self.own.draft(&scene, values.frame)?;
+        // What is stated of errors changes little from one value to the next.
+        let last = self.kept().1.clone();
+        let simulation = last.draft(&scene, values.frame)?;
         Ok(self.picture(&simulation, values.frame, true, start))
     }
 
@@ -219,16 +221,19 @@ impl Session {
     fn simulation(&self, values: &Values) -> Answer<Arc<Simulation>> {
         let text = self.base.text(values)?;
         let scene = self.changed(&text, values)?;
-        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let kept = Some(last())
-            .filter(|last| last.0 == text)
-            .map(|last| last.1.clone());
-        if let Some(simulation) = kept {
-            return Ok(simulation);
+        {
+            let kept = self.kept();
+            if kept.0 == text {
+                return Ok(kept.1.clone());
+            }
         }
         let simulation = Arc::new(self.own.of_same_part(&scene)?);
-        *last() = (text, simulation.clone());
+        *self.kept() = (text, simulation.clone());
         Ok(simulation)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, (String, Arc<Simulation>)> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn picture(&self, simulation: &Simulation, frame: u32, draft: bool, start: Instant) -> Picture {

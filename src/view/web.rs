@@ -38,8 +38,8 @@ struct View {
 
 type Asked = std::result::Result<Query<Values>, QueryRejection>;
 
-/// The page of a session and what it asks for, by addresses relative to its own, which ends with "/". Answers
-/// those alone who ask from this machine, from the page itself.
+/// The page of a session and what it asks for, by addresses relative to its own, which ends with "/". Who may ask
+/// is for a layer around it to say.
 pub fn router(session: Arc<Session>) -> Router {
     let view = View {
         session,
@@ -59,10 +59,9 @@ pub fn router(session: Arc<Session>) -> Router {
         .route("/scene.toml", get(scene))
         .with_state(view)
         .layer(map_response(headers))
-        .layer(from_fn(own_pages))
 }
 
-/// Answers on a listener until `stop`.
+/// Answers on a listener until `stop`, those alone who ask from this machine, from the page itself.
 ///
 /// # Errors
 /// The system gives no threads, or takes the listener away.
@@ -87,7 +86,7 @@ pub fn serve(
         };
         // Pages keep their connections open: there is nothing to wait for.
         tokio::select! {
-            done = axum::serve(listener, router(session)) => done,
+            done = axum::serve(listener, router(session).layer(from_fn(own_pages))) => done,
             () = stopped => Ok(()),
         }
     });
