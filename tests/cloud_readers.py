@@ -62,8 +62,8 @@ def mistakes(table, expected):
     lengths = (table["nx"] ** 2 + table["ny"] ** 2 + table["nz"] ** 2) ** 0.5
     if any(abs(length - 1) > 1e-6 for length in lengths):
         yield "normals are not of unit length"
-    if not all(0 <= int(flags) < 128 for flags in table["flags"]):
-        yield "flags are not between 0 and 127"
+    if not all(0 <= int(flags) < 256 for flags in table["flags"]):
+        yield "flags are not between 0 and 255"
     if len(set(zip(table["red"].tolist(), table["green"].tolist(), table["blue"].tolist()))) < 2:
         yield "all points have one colour"
 

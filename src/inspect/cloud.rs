@@ -33,6 +33,9 @@ pub struct CloudPoint {
     pub flags: Flags,
     /// Unit normal of the CAD at the place nearest to the point, on the camera's side, part frame.
     pub normal: Vec3,
+    /// Truth, which no measurement has: the share of the light about its peak that was reflected once, 0 to 1; 1 where
+    /// light reflected more than once is not modelled. A reflection has little of it.
+    pub direct: f32,
 }
 
 impl CloudPoint {

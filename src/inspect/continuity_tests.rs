@@ -50,6 +50,7 @@ fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             width: 1.0,
             flags: Flags::empty(),
             normal: glam::Vec3::Z,
+            direct: 1.0,
         }
     };
     let frames = (0..frames).flat_map(|f| (0..COLUMNS).map(move |c| (f, c)));

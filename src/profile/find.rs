@@ -2,6 +2,7 @@
 
 use super::background::{Background, Histogram, background, detection_sigmas};
 use super::flags::{WIDE_RATIO, compare_neighbours, median, of_line};
+use super::ghosts::{self, Other};
 use super::line::{Line, Located};
 use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
@@ -76,11 +77,19 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
     let mut lines = Vec::with_capacity(columns);
+    let mut others = Vec::new();
     for (number, (tops, found)) in tops.chunks_exact(blocks).zip(&found).enumerate() {
         let Some(found) = found else { continue };
         let counts = image.column(number);
-        let (line, double) = chosen(&Pixels { counts, tops }, found, width, settings);
+        let (line, tops) = chosen(&Pixels { counts, tops }, found, width, settings);
         if let Some(located) = locate(&line, settings.finder) {
+            let double = tops.len() > 1;
+            let beside = tops.into_iter().filter(|&top| top != line.top);
+            others.extend(beside.map(|top| Other {
+                column: number as u32,
+                row: top as f64 + 0.5,
+                sigma: half_height_sigma(counts, top, found.background.mean),
+            }));
             lines.push(Found {
                 column: number as u32,
                 line,
@@ -107,6 +116,7 @@ pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
     };
     let mut peaks: Vec<Peak> = lines.into_iter().map(peak).collect();
     compare_neighbours(&mut peaks, columns, settings);
+    ghosts::flag(&mut peaks, &others, settings.expected_sigma);
     peaks
 }
 
@@ -169,13 +179,13 @@ fn detect(column: &Pixels, z: f64, histogram: &mut Histogram) -> Option<Column> 
     })
 }
 
-/// The line that the settings choose, and whether there is another.
+/// The line that the settings choose, and where each line of the column is highest.
 fn chosen<'a>(
     column: &Pixels<'a>,
     found: &Column,
     width: f64,
     settings: &PeakSettings,
-) -> (Line<'a>, bool) {
+) -> (Line<'a>, Vec<usize>) {
     let Background {
         mean, threshold, ..
     } = found.background;
@@ -196,7 +206,7 @@ fn chosen<'a>(
         sigma: half_height_sigma(counts, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
-    (line, tops.len() > 1)
+    (line, tops)
 }
 
 /// Rows of the highest pixels of the runs at or above `level`; runs whose gap is

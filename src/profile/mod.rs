@@ -17,6 +17,7 @@ mod cut;
 mod find;
 mod fit;
 mod flags;
+mod ghosts;
 mod horizon;
 mod influence;
 mod line;

@@ -68,6 +68,11 @@ bitflags! {
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.
         const OUTSIDE = 1 << 6;
+        /// Possibly a reflection: in a column with another line, one that is as narrow as is expected,
+        /// this one is wider than that, or is seen in columns with another far more often than that is;
+        /// or it goes on from such a line. Found in the image alone; a reflection that is the only line of its
+        /// columns has it only if it goes on so.
+        const GHOST = 1 << 7;
     }
 }
 

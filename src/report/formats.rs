@@ -220,6 +220,7 @@ mod tests {
                 width: 1.5,
                 flags: Flags::EDGE,
                 normal: glam::Vec3::Z,
+                direct: 1.0,
             })
             .collect()
     }

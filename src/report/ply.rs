@@ -17,7 +17,7 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 /// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
 /// (uchar; the deviation, as in the report), deviation, sigma and deviation_sigma (float, mm),
 /// intensity (float, counts), frame, column and flags (int, which every reader takes; the bits
-/// of [`Flags`](crate::profile::Flags)).
+/// of [`Flags`](crate::profile::Flags)), and where light reflected more than once is modelled direct (float).
 pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
     write!(
         out,
@@ -29,9 +29,14 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
          property uchar red\nproperty uchar green\nproperty uchar blue\n\
          property float deviation\nproperty float sigma\n\
          property float deviation_sigma\nproperty float intensity\n\
-         property int frame\nproperty int column\nproperty int flags\nend_header\n",
+         property int frame\nproperty int column\nproperty int flags\n",
         points.len()
     )?;
+    let reflections = points.iter().any(|point| point.direct != 1.0);
+    if reflections {
+        out.write_all(b"property float direct\n")?;
+    }
+    out.write_all(b"end_header\n")?;
     let limit = color_limit_um(points, |p| p.deviation);
     for point in points {
         for coordinate in point.position.to_array() {
@@ -54,6 +59,9 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
         // Frames and columns are far below 2³¹.
         for number in [point.frame, point.column, point.flags.bits().into()] {
             out.write_all(&number.to_le_bytes())?;
+        }
+        if reflections {
+            out.write_all(&point.direct.to_le_bytes())?;
         }
     }
     Ok(())
@@ -81,6 +89,7 @@ mod tests {
             width: 1.5,
             flags: Flags::WEAK | Flags::EDGE,
             normal: Vec3::Y,
+            direct: 1.0,
         };
         let points = [point(0), point(1)];
         let mut bytes = Vec::new();
@@ -103,5 +112,17 @@ mod tests {
         assert_eq!(second[36..39], diverging(10.0, 10.0));
         let flags = (Flags::WEAK | Flags::EDGE).bits();
         assert_eq!([55, 59, 63].map(int), [70_001, 7, flags.into()]);
+        // With reflections, of each how much of its light is none.
+        let ghost = CloudPoint {
+            direct: 0.25,
+            ..point(1)
+        };
+        let mut bytes = Vec::new();
+        write_ply(&mut bytes, &[point(0), ghost]).unwrap();
+        assert_eq!(bytes[bytes.len() - 4..], 0.25f32.to_le_bytes());
+        assert_eq!(
+            bytes[bytes.len() - 4 - record - 4..][..4],
+            1f32.to_le_bytes()
+        );
     }
 }

@@ -350,6 +350,7 @@ mod tests {
             width: 1.5,
             flags: crate::profile::Flags::EDGE,
             normal: glam::Vec3::Z,
+            direct: 1.0,
         };
         FrameRecord {
             frame,

@@ -187,6 +187,7 @@ impl Simulation {
                 width: peak.sigma,
                 flags: peak.flags,
                 normal: seen.as_vec3(),
+                direct: 1.0,
             })
         });
         points.collect()

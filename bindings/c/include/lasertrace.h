@@ -111,6 +111,11 @@
 #define LASERTRACE_FLAG_OUTSIDE 64
 
 /*
+ Possibly a reflection.
+ */
+#define LASERTRACE_FLAG_GHOST 128
+
+/*
  How a call went.
  */
 typedef enum {

@@ -73,6 +73,8 @@ pub const LASERTRACE_FLAG_BORDER: u32 = 16;
 pub const LASERTRACE_FLAG_EDGE: u32 = 32;
 /// Its uncertainty is not known to hold.
 pub const LASERTRACE_FLAG_OUTSIDE: u32 = 64;
+/// Possibly a reflection.
+pub const LASERTRACE_FLAG_GHOST: u32 = 128;
 
 const _: () = {
     assert!(LASERTRACE_FLAG_SATURATED == Flags::SATURATED.bits() as u32);
@@ -82,7 +84,8 @@ const _: () = {
     assert!(LASERTRACE_FLAG_BORDER == Flags::BORDER.bits() as u32);
     assert!(LASERTRACE_FLAG_EDGE == Flags::EDGE.bits() as u32);
     assert!(LASERTRACE_FLAG_OUTSIDE == Flags::OUTSIDE.bits() as u32);
-    assert!(Flags::all().bits() == 127);
+    assert!(LASERTRACE_FLAG_GHOST == Flags::GHOST.bits() as u32);
+    assert!(Flags::all().bits() == 255);
 };
 
 /// What was measured in one column of a frame. What is not set is 0.

@@ -62,6 +62,8 @@ class Flag(_enum.IntFlag):
     """At an end or a jump, or so narrow or dark that an edge may cut the line."""
     OUTSIDE = 64
     """Outside the domain of the stated uncertainty."""
+    GHOST = 128
+    """Possibly a reflection."""
 
 
 __all__ = [
