@@ -74,7 +74,7 @@ enum Command {
     Wave(wave::Arguments),
     /// Chart the errors of each peak finder, or run all on an image of your own
     Peaks(peaks::Arguments),
-    /// Compare predicted uncertainties with the scatter over many seeds
+    /// Compare predicted uncertainties with the scatter over many seeds, or measure a sensor as data sheets do
     Uncertainty(uncertainty::Arguments),
     /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
@@ -121,10 +121,14 @@ impl SceneArguments {
                 false => Ok(()),
             }
         });
-        let mut scene = scene?;
+        Ok(self.changed(scene?))
+    }
+
+    /// With what the command line says otherwise.
+    fn changed(&self, mut scene: crate::scene::Scene) -> crate::scene::Scene {
         scene.seed = self.seed.unwrap_or(scene.seed);
         scene.accel = self.accel.accel.unwrap_or(scene.accel);
-        Ok(scene)
+        scene
     }
 }
 

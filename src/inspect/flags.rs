@@ -26,7 +26,7 @@ pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
         .collect()
 }
 
-const FLAGS: [(Flags, &str, &str); 7] = [
+const FLAGS: [(Flags, &str, &str); 8] = [
     (
         Flags::SATURATED,
         "saturated",
@@ -57,5 +57,10 @@ const FLAGS: [(Flags, &str, &str); 7] = [
         Flags::OUTSIDE,
         "outside",
         "outside the domain of the stated uncertainty",
+    ),
+    (
+        Flags::FILLED,
+        "filled",
+        "not measured: on the line between the points on either side of a gap",
     ),
 ];

@@ -68,6 +68,8 @@ bitflags! {
         /// Outside the domain of the uncertainty that is stated for it. Not set
         /// by the search itself.
         const OUTSIDE = 1 << 6;
+        /// Not measured: it fills a gap between the points on either side.
+        const FILLED = 1 << 8;
     }
 }
 

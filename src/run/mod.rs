@@ -4,6 +4,7 @@
 mod check;
 mod control;
 mod dataset;
+mod delivered;
 pub(crate) mod error_model;
 pub(crate) mod files;
 pub(crate) mod forecast;
