@@ -13,7 +13,7 @@ import sys
 
 import numpy
 
-FLOATS = ["nx", "ny", "nz", "deviation", "sigma", "deviation_sigma", "intensity"]
+FLOATS = ["nx", "ny", "nz", "deviation", "sigma", "deviation_sigma", "intensity", "repeatability", "correlation_length"]
 INTEGERS = ["red", "green", "blue", "frame", "column", "flags"]
 
 

@@ -85,7 +85,7 @@ enum Command {
     /// Show a scene in the browser: its picture while values are dragged
     #[cfg(feature = "service")]
     View(view::Arguments),
-    /// Compare predicted uncertainties with the scatter over many seeds
+    /// Compare predicted uncertainties with the scatter over many seeds, or measure a sensor as data sheets do
     Uncertainty(uncertainty::Arguments),
     /// Take jobs over HTTP: scenes and meshes in, files out
     #[cfg(feature = "service")]
@@ -143,10 +143,14 @@ impl SceneArguments {
                 false => Ok(()),
             }
         });
-        let mut scene = scene?;
+        Ok(self.changed(scene?))
+    }
+
+    /// With what the command line says otherwise.
+    fn changed(&self, mut scene: crate::scene::Scene) -> crate::scene::Scene {
         scene.seed = self.seed.unwrap_or(scene.seed);
         scene.accel = self.accel.accel.unwrap_or(scene.accel);
-        Ok(scene)
+        scene
     }
 }
 

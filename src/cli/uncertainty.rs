@@ -1,9 +1,10 @@
 use super::{Output, STOP, SceneArguments};
 use crate::run::Control;
+use crate::scene::Scene;
 use crate::study;
 
-use crate::error::Result;
 use crate::error::printable::path;
+use crate::error::{Error, Result};
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
@@ -11,17 +12,44 @@ pub struct Arguments {
     #[command(flatten)]
     scene: SceneArguments,
     /// Frame of the scan, from 0
-    #[arg(long, value_name = "K", default_value_t = 0)]
+    #[arg(long, value_name = "K", default_value_t = 0, conflicts_with = "range")]
     frame: u32,
-    /// Seeds of speckle and noise, 2 or more, from the scene's own on
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u64).range(2..100_000))]
+    /// Seeds of speckle and noise, or images of the same speckle, 2 or more, from the scene's own on
+    #[arg(long, value_name = "N", default_value_t = 64, conflicts_with = "range", value_parser = clap::value_parser!(u64).range(2..100_000))]
     seeds: u64,
+    /// Nothing moves: speckle stays, and only noise is drawn anew (repeatability)
+    #[arg(long = "static", conflicts_with = "range")]
+    fixed: bool,
+    /// The sensor as its data sheet measures it: a plane moved through the measuring range. Always so of a sensor file
+    #[arg(long)]
+    range: bool,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let file = &arguments.scene.scene;
+    match Scene::of_sensor(file)? {
+        Some(scene) if !arguments.fixed => {
+            let scene = arguments.scene.changed(scene);
+            let text = "The file is a sensor's: the target is a matt plane that reflects half of the light.\n";
+            over_range(scene, &arguments, text, output)
+        }
+        Some(_) => Err(Error::Usage(format!(
+            "--static with the sensor {}: expected a scene, whose frame is taken again and again; \
+             leave --static out, as repeatability is measured over the range beside the rest",
+            file.display()
+        ))),
+        None if arguments.range => {
+            let scene = arguments.scene.load(output)?;
+            over_range(scene, &arguments, "", output)
+        }
+        None => of_frame(&arguments, output),
+    }
+}
+
+fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
     let bar = output.progress(arguments.seeds, "seeds");
     let control = Control {
@@ -29,16 +57,40 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let Arguments {
-        frame,
-        seeds,
-        output: folder,
-        ..
-    } = &arguments;
-    let summary = study::monte_carlo(scene, *frame, *seeds, folder, &control);
+    let study = match arguments.fixed {
+        true => study::repeatability,
+        false => study::monte_carlo,
+    };
+    let (frame, seeds) = (arguments.frame, arguments.seeds);
+    let summary = study(scene, frame, seeds, &arguments.output, &control);
     bar.finish_and_clear();
     let summary = summary?;
     let [first, second] = summary.headline();
     let text = format!("{first}\n{second}\n{}\n", path(&summary.picture));
+    output.result(&summary, &text)
+}
+
+fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output) -> Result<()> {
+    let bar = output.progress(study::SHEET_STEPS, "distances");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        building: None,
+        stop: &STOP,
+    };
+    let summary = study::sheet(scene, &arguments.output, &control);
+    bar.finish_and_clear();
+    let summary = summary?;
+    let [first, second] = summary.headline();
+    let table = summary.table();
+    let picture = path(&summary.picture);
+    let [columns, profiles] = study::MEAN_OF;
+    let text = format!(
+        "{first}\n{second}\n{target}\n{table}\n\
+         distance: from the laser, mm; all else but n_c in µm, found and then as stated of each point.\n\
+         x / px, z / px: for one pixel. repeat: the same place again, nothing moved. place: from place to place,\n\
+         speckle in it; closed: 0.3905·√(hσ)·C and noise. n_c: columns within which errors are alike. of {columns}: mean\n\
+         over {columns} columns. of {profiles}: mean over {profiles} profiles. linear: indicated less true height, ± 2 standard\n\
+         uncertainties. edge: 10 to 90 % of a low step along the line.\n{picture}\n"
+    );
     output.result(&summary, &text)
 }

@@ -16,6 +16,13 @@ pub struct CloudPoint {
     /// Standard uncertainty of the position, mm: along the camera's ray's way
     /// through the laser plane, where an error of the row moves it.
     pub sigma: f64,
+    /// Standard deviation of the position, mm, if the same place is measured again and nothing moves
+    /// ("repeatability" in data sheets): the part of `sigma` without speckle and calibration.
+    pub repeatability: f64,
+    /// Length along the profile within which errors are alike, mm: the columns' distance times n_c = Σ_k ρ_k, ρ_k
+    /// the correlation of errors k columns apart. The mean over a length L of the profile has a standard uncertainty
+    /// of `sigma`·√(correlation_length/L), for L well above it.
+    pub correlation_length: f64,
     /// Standard uncertainty of the deviation, mm: the part of `sigma` that lies
     /// along the surface's normal, and what the scene says of its triangles' chord.
     pub deviation_sigma: f64,

@@ -43,6 +43,8 @@ fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             deviation: 0.0,
             sigma: SIGMA,
             deviation_sigma: SIGMA,
+            repeatability: SIGMA,
+            correlation_length: 0.05,
             intensity: 1000.0,
             frame,
             column,

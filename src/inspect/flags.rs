@@ -26,7 +26,7 @@ pub fn count_flags(points: &[CloudPoint]) -> Vec<FlagCount> {
         .collect()
 }
 
-const FLAGS: [(Flags, &str, &str); 8] = [
+const FLAGS: [(Flags, &str, &str); 9] = [
     (
         Flags::SATURATED,
         "saturated",
@@ -62,5 +62,10 @@ const FLAGS: [(Flags, &str, &str); 8] = [
         Flags::GHOST,
         "ghost",
         "possibly a reflection: wider than the other line of its column, or seen only beside it",
+    ),
+    (
+        Flags::FILLED,
+        "filled",
+        "not measured: on the line between the points on either side of a gap",
     ),
 ];

@@ -29,8 +29,12 @@ pub struct ColumnUncertainty {
 pub struct UncertaintyStatistics {
     /// Points without a flag; the others do not count.
     pub points: usize,
-    /// Median of their positions' standard uncertainties, µm.
+    /// Median of their positions' standard uncertainties, µm: from place to place, speckle in them, and of the calibration.
     pub median_sigma_um: f64,
+    /// Median of what the same place measured again scatters by, nothing moved, µm: noise alone.
+    pub median_repeatability_um: f64,
+    /// Median of the lengths along the profile within which errors are alike, µm.
+    pub median_correlation_length_um: f64,
     /// Share whose deviation is within 1.96 times its own standard uncertainty: 0.95
     /// of a part that is as its CAD says, less of any other.
     pub within_95: f64,
@@ -40,13 +44,18 @@ impl UncertaintyStatistics {
     /// `None` without such points.
     pub fn of(points: &[CloudPoint]) -> Option<UncertaintyStatistics> {
         let points = || points.iter().filter(|p| p.flags.is_empty());
-        let mut sigmas: Vec<f64> = points().map(|p| p.sigma * 1e3).collect();
-        sigmas.sort_by(f64::total_cmp);
+        let median = |of: &dyn Fn(&CloudPoint) -> f64| {
+            let mut values: Vec<f64> = points().map(|p| of(p) * 1e3).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied()
+        };
         let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
         Some(UncertaintyStatistics {
-            points: sigmas.len(),
-            median_sigma_um: *sigmas.get(sigmas.len() / 2)?,
-            within_95: within.count() as f64 / sigmas.len() as f64,
+            points: points().count(),
+            median_sigma_um: median(&|p| p.sigma)?,
+            median_repeatability_um: median(&|p| p.repeatability)?,
+            median_correlation_length_um: median(&|p| p.correlation_length)?,
+            within_95: within.count() as f64 / points().count() as f64,
         })
     }
 }

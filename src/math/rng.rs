@@ -15,6 +15,8 @@ pub enum Purpose {
     WaveScatterers = 3,
     /// Which values a bootstrap draws again.
     Bootstrap = 4,
+    /// Errors over which medians are taken.
+    Median = 5,
     /// Errors of a calibration's observations.
     Calibration = 7,
     /// Values of the samples of a data set.

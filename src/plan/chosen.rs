@@ -256,6 +256,8 @@ impl Accuracy {
             true => "It is modelled, and all else",
             false => "It is left out by name, and all is planned",
         };
+        // What a data sheet calls repeatability does not know speckle, and is another quantity.
+        let of = "of single points from place to place, speckle in them: ";
         let limit = self.speckle_limit_um.map(|limit| {
             format!(
                 "no sensor with these optics measures single points to {tolerance_um} µm: \
@@ -289,6 +291,8 @@ impl Accuracy {
             ),
             false => String::new(),
         };
-        limit.unwrap_or_default() + &format!("predicted: {predicted}{sure}{verdict}{unsettled}")
+        of.to_owned()
+            + &limit.unwrap_or_default()
+            + &format!("predicted: {predicted}{sure}{verdict}{unsettled}")
     }
 }

@@ -5,7 +5,7 @@
 //! what is doubtful about them, `locate` and `fit` where each lies in its pixels,
 //! `uncertainty` how surely, by the `variances` of lines anywhere on the sensor, `blurred` by the lens or sharp; `cut` which of them edges
 //! along them cut, `horizon` which ones edges may cut that single columns do not show, `clipping` what
-//! saturation leaves of them.
+//! saturation leaves of them. `filter` is what sensors do to profiles before they deliver them.
 
 mod adjust;
 mod background;
@@ -14,6 +14,7 @@ mod calibration;
 mod calibration_file;
 mod clipping;
 mod cut;
+mod filter;
 mod find;
 mod fit;
 mod flags;
@@ -22,6 +23,7 @@ mod horizon;
 mod influence;
 mod line;
 mod locate;
+mod median_variance;
 mod neighbourhood;
 mod peak;
 mod slope;
@@ -34,6 +36,9 @@ pub use background::{FALSE_PEAKS_PER_FRAME, least_height};
 pub use blurred::Blurred;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::blinding_height;
+pub use filter::{
+    DeliveredRow, Filters, OUTLIER_COLUMNS, ProfileFilter, ProfileRow, Smooth, sum_of_both_sides,
+};
 pub use find::{CANDIDATE_SHARE, find_peaks};
 pub use flags::{NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, weigh};
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};

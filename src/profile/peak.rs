@@ -73,6 +73,8 @@ bitflags! {
         /// or it goes on from such a line. Found in the image alone; a reflection that is the only line of its
         /// columns has it only if it goes on so.
         const GHOST = 1 << 7;
+        /// Not measured: it fills a gap between the points on either side.
+        const FILLED = 1 << 8;
     }
 }
 

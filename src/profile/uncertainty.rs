@@ -9,7 +9,7 @@ use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
 use super::neighbourhood::BESIDE;
 use super::slope::{Run, runs};
-use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row};
+use super::variances::{Places, SIGMAS_PX, SpeckleGrain, Variances, along_row, column_correlation};
 use super::widths::{Expected, expected};
 use super::{Flags, Peak, PeakFinder};
 use crate::math::DVec2;
@@ -30,8 +30,11 @@ const SPECKLE_OF_A_STRETCH: f64 = 2.0466;
 /// How far a peak's row may be off.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RowError {
-    /// Standard uncertainty, px.
+    /// Standard uncertainty, px: the scatter from place to place, speckle in it.
     pub sigma: f64,
+    /// The part of it that another image of the same place draws anew, px: shot noise and the
+    /// background's (read noise and rounding). Speckle stays where nothing moves.
+    pub noise: f64,
     /// Whether an edge is so near that either of the surfaces it joins may be nearest: one
     /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
     /// in which one at 45° would cut it.
@@ -83,6 +86,7 @@ pub struct ErrorModel {
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
+    grain: Option<SpeckleGrain>,
     /// `None`: images are sharp.
     blurred: Option<Blurred>,
 }
@@ -100,6 +104,7 @@ impl ErrorModel {
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
+            grain,
             blurred: None,
         }
     }
@@ -110,6 +115,17 @@ impl ErrorModel {
             blurred: Some(blurred),
             ..self
         }
+    }
+
+    /// Correlations of what speckle does to the rows of lines 0, 1, 2, … columns apart, in the sensor's
+    /// middle, for a line whose light has a standard deviation of `sigma` px there in the sharp image; [1] without speckle.
+    pub fn column_correlation(&self, sigma: f64) -> Vec<f64> {
+        let of = |grain: &SpeckleGrain| {
+            let middle = grain.resolution.as_dvec2() / 2.0;
+            let sigma = sigma.hypot(self.spread(middle).sqrt());
+            column_correlation(self.finder, grain, middle, sigma)
+        };
+        self.grain.as_ref().map_or(vec![1.0], of)
     }
 
     /// The same for light without shot noise.
@@ -154,8 +170,10 @@ impl ErrorModel {
             let uncut = variance + bend_variance(&runs[i], variance);
             let cut = cuts[i].chance * cuts[i].square;
             let sigma = (uncut + cut).sqrt();
+            let noise = self.noise_variance(peak, &variances[i]).sqrt();
             RowError {
                 sigma,
+                noise,
                 beside_edge: near_ends[i] || cut > uncut,
                 slope: runs[i].slope,
                 is_valid: expected.is_some() && self.is_valid(width, &variances[i]),
@@ -197,6 +215,12 @@ impl ErrorModel {
             && (centroid || at.pixel <= LARGEST_SHAPE_VARIANCE)
     }
 
+    /// Variance of the row from what each image draws anew, px².
+    fn noise_variance(&self, peak: &Peak, at: &Variances) -> f64 {
+        let n = peak.intensity;
+        at.shot * self.gain_dn_per_e / n + at.white * (peak.noise / n).powi(2)
+    }
+
     /// Variance of the row of an unbroken line of width `sigma`, px².
     fn variance(
         &self,
@@ -206,11 +230,9 @@ impl ErrorModel {
         at: &Variances,
         clipped: &Clipped,
     ) -> f64 {
-        let n = peak.intensity;
         let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
-            + at.shot * self.gain_dn_per_e / n
-            + at.white * (peak.noise / n).powi(2)
+            + self.noise_variance(peak, at)
             + bias(self.finder, sigma).powi(2) / 3.0
     }
 }

@@ -193,6 +193,42 @@ pub(super) fn along_row(grain: &SpeckleGrain, place: DVec2, count: usize) -> Vec
     (0..count).map(of).collect()
 }
 
+/// Correlation of the rows that speckle gives to lines of `sigma` px in columns 0, 1, 2, … apart about a place,
+/// up to the last above [`LEAST_CORRELATION`]: of Σ w_i·G_i·δ_i over the pixels of one column with that of another
+/// ([`ErrorModel`](super::ErrorModel)). For a round pupil, pixels ≪ h ≪ σ, their sum over both sides is (4/π)/(32/3π²)·h = 1.178 h.
+pub(super) fn column_correlation(
+    finder: PeakFinder,
+    grain: &SpeckleGrain,
+    place: DVec2,
+    sigma: f64,
+) -> Vec<f64> {
+    let line = Line::new(finder, sigma.clamp(SIGMAS_PX.0, SIGMAS_PX.1));
+    let grains = grain.grains_per_pixel(place);
+    let high = 1.0 / line.parts as f64;
+    let rows = (8.0 * grain.along_column_px(place) / high)
+        .ceil()
+        .min(MOST_PIXELS) as usize;
+    let covariance = |columns: usize| -> f64 {
+        let of = |(row, product): (usize, &f64)| {
+            let lag = DVec2::new(columns as f64, row as f64 * high);
+            // Sheared grains lie otherwise on the two sides.
+            let sides = [lag, lag * DVec2::new(1.0, -1.0)];
+            let light = sides.map(|lag| strip_covariance(grain.aperture, grains, high, lag));
+            product * (light[0] + light[1]) / 2.0
+        };
+        line.moves.iter().enumerate().take(rows + 1).map(of).sum()
+    };
+    let all = covariance(0);
+    let next = (1..MOST_COLUMNS).map(|columns| covariance(columns) / all);
+    let next = next.take_while(|&rho| rho > LEAST_CORRELATION);
+    std::iter::once(1.0).chain(next).collect()
+}
+
+/// Correlation between columns that counts as none: what lies beyond is below a hundredth of its sum.
+const LEAST_CORRELATION: f64 = 0.01;
+/// Columns beyond which it is not followed: grains of 16 columns.
+const MOST_COLUMNS: usize = 64;
+
 /// A line of one width, as the mean over one at a pixel's middle and one at its edge.
 struct Line {
     /// Into which each pixel's height is divided.
@@ -299,6 +335,31 @@ mod tests {
         let found = at(PeakFinder::Centroid, 4.0, 48.0).speckle.sqrt();
         let law = centroid_noise(4.0, 48.0, 0.5);
         assert!((0.95..1.0).contains(&(found / law)), "{found} {law}");
+    }
+
+    /// (4/π)/(32/3π²) = 1.178 grains, the integral of μ² over the plane over that along a column. Pixels of h/4
+    /// widen it by (1/16)/24·π²/2 of itself, 1 %; h/σ = 1/12, and what is cut off below a hundredth, are 2 % each.
+    #[test]
+    fn the_sum_of_correlations_is_that_of_two_dimensional_grains() {
+        let camera = CameraModel {
+            resolution: UVec2::splat(100),
+            pixel_pitch: 1e-3,
+            principal_distance: 1e3,
+            principal_point: DVec2::splat(50.0),
+            tilt: DVec2::ZERO,
+            distortion: None,
+        };
+        let grain = SpeckleGrain {
+            rays: camera.chief_rays(),
+            resolution: camera.resolution,
+            size: 4e-6,
+            contrast: 0.5,
+            aperture: Aperture::Circle,
+        };
+        let middle = DVec2::splat(50.0);
+        let rho = column_correlation(PeakFinder::Centroid, &grain, middle, 48.0);
+        let sum = 1.0 + 2.0 * rho[1..].iter().sum::<f64>();
+        assert!((sum / (4.0 * 1.178) - 1.0).abs() < 0.04, "{sum} {rho:?}");
     }
 
     /// In white noise the weights of the fit give the Cramér–Rao bound of a line of unit

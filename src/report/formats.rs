@@ -48,13 +48,13 @@ impl Format {
 fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     writeln!(
         out,
-        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px"
+        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px,repeatability_mm,correlation_length_mm"
     )?;
     for p in points {
         let [x, y, z] = p.position.to_array();
         writeln!(
             out,
-            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3}",
+            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3},{:.7},{:.5}",
             p.deviation,
             p.sigma,
             p.deviation_sigma,
@@ -63,7 +63,9 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             p.column,
             p.flags.bits(),
             p.row,
-            p.width
+            p.width,
+            p.repeatability,
+            p.correlation_length
         )?;
     }
     Ok(())
@@ -157,6 +159,8 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         ("deviation_mm", "<f8"),
         ("sigma_mm", "<f8"),
         ("deviation_sigma_mm", "<f8"),
+        ("repeatability_mm", "<f8"),
+        ("correlation_length_mm", "<f8"),
         ("flags", "<u2"),
     ];
     let fields = fields.map(|(name, kind)| format!("('{name}', '{kind}')"));
@@ -175,6 +179,8 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             p.deviation,
             p.sigma,
             p.deviation_sigma,
+            p.repeatability,
+            p.correlation_length,
         ] {
             out.write_all(&value.to_le_bytes())?;
         }
@@ -213,6 +219,8 @@ mod tests {
                 deviation: -0.002,
                 sigma: 0.003,
                 deviation_sigma: 0.001,
+                repeatability: 0.0005,
+                correlation_length: 0.2,
                 intensity: 1234.5,
                 frame: i / 20,
                 column: i % 20,
@@ -261,8 +269,8 @@ mod tests {
         let header = std::str::from_utf8(&bytes[10..10 + length]).unwrap();
         assert!(header.contains("'shape': (200,)") && header.ends_with('\n'));
         let data = &bytes[10 + length..];
-        assert_eq!(data.len(), 200 * 82);
-        let second = &data[82..];
+        assert_eq!(data.len(), 200 * 98);
+        let second = &data[98..];
         assert_eq!(second[4..8], 1u32.to_le_bytes());
         assert_eq!(second[8..16], 31.25f64.to_le_bytes());
         assert_eq!(second[32..40], (1.0f64 / 3.0).to_le_bytes());
@@ -272,7 +280,7 @@ mod tests {
     fn a_csv_has_a_line_a_point_and_an_empty_cloud_is_no_error() {
         let text = String::from_utf8(written(|out| Format::Csv.write(out, &points()))).unwrap();
         assert_eq!(text.lines().count(), 201);
-        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 12);
+        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 14);
         for format in Format::ALL {
             assert!(format.write(&mut Vec::new(), &[]).is_ok(), "{format:?}");
         }

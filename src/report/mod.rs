@@ -16,6 +16,7 @@ pub mod ply;
 pub mod race_plot;
 pub mod residual_picture;
 pub mod setup;
+pub mod sheet_plot;
 pub(crate) mod svg;
 pub mod uncertainty_plot;
 pub mod viewer;

@@ -16,8 +16,8 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 
 /// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
 /// (uchar; the deviation, as in the report), deviation, sigma and deviation_sigma (float, mm),
-/// intensity (float, counts), frame, column and flags (int, which every reader takes; the bits
-/// of [`Flags`](crate::profile::Flags)), and where light reflected more than once is modelled direct (float).
+/// intensity (float, counts), repeatability and correlation_length (float, mm), frame, column and flags (int, which every
+/// reader takes; the bits of [`Flags`](crate::profile::Flags)), and where light reflected more than once is modelled direct (float).
 pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
     write!(
         out,
@@ -29,6 +29,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
          property uchar red\nproperty uchar green\nproperty uchar blue\n\
          property float deviation\nproperty float sigma\n\
          property float deviation_sigma\nproperty float intensity\n\
+         property float repeatability\nproperty float correlation_length\n\
          property int frame\nproperty int column\nproperty int flags\n",
         points.len()
     )?;
@@ -51,9 +52,18 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
             sigma,
             deviation_sigma,
             intensity,
+            repeatability,
+            correlation_length,
             ..
         } = *point;
-        for value in [deviation, sigma, deviation_sigma, intensity] {
+        for value in [
+            deviation,
+            sigma,
+            deviation_sigma,
+            intensity,
+            repeatability,
+            correlation_length,
+        ] {
             out.write_all(&(value as f32).to_le_bytes())?;
         }
         // Frames and columns are far below 2³¹.
@@ -82,6 +92,8 @@ mod tests {
             deviation: 0.01,
             sigma: 0.02,
             deviation_sigma: 0.015,
+            repeatability: 0.003,
+            correlation_length: 0.1,
             intensity: 900.0,
             frame: 70_000 + i,
             column: 7,
@@ -103,7 +115,7 @@ mod tests {
             sizes.iter().find(|s| s.0 == kind).map(|s| s.1)
         };
         let record: usize = text.lines().filter_map(size).sum();
-        assert_eq!(text.matches("property").count(), 16);
+        assert_eq!(text.matches("property").count(), 18);
         assert_eq!(bytes.len() - header, 2 * record);
         let second = &bytes[header + record..];
         let int = |at: usize| u32::from_le_bytes(second[at..at + 4].try_into().unwrap());
@@ -111,7 +123,7 @@ mod tests {
         assert_eq!(second[28..32], 1f32.to_le_bytes());
         assert_eq!(second[36..39], diverging(10.0, 10.0));
         let flags = (Flags::WEAK | Flags::EDGE).bits();
-        assert_eq!([55, 59, 63].map(int), [70_001, 7, flags.into()]);
+        assert_eq!([63, 67, 71].map(int), [70_001, 7, flags.into()]);
         // With reflections, of each how much of its light is none.
         let ghost = CloudPoint {
             direct: 0.25,

@@ -343,6 +343,8 @@ mod tests {
             deviation: 0.1,
             sigma: 0.02,
             deviation_sigma: 0.01,
+            repeatability: 0.005,
+            correlation_length: 0.1,
             intensity: 200.5,
             frame,
             column: 9,

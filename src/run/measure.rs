@@ -9,7 +9,10 @@ use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::profile::{Flags, Peak, PeakSettings, RowError, compare_neighbours, find_peaks, weigh};
+use crate::profile::{
+    Flags, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
+    sum_of_both_sides, weigh,
+};
 use crate::scene::Scene;
 use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
@@ -155,7 +158,8 @@ impl Simulation {
         // The triangle nearest to the column before.
         let mut close = None;
         let points = measured.filter_map(|(peak, error)| {
-            let (in_head, covariance) = self.point(peak, error.sigma)?;
+            let jacobian = self.calibration.point_jacobian(peak.place())?;
+            let (in_head, covariance) = self.point(&jacobian, error.sigma);
             let position = part_from_head.point(in_head);
             let (deviation, seen) = signed_distance(&self.accel, position, eye, &mut close);
             let normal = part_from_head.inverse().vector(seen);
@@ -179,6 +183,8 @@ impl Simulation {
                 position,
                 deviation,
                 sigma,
+                repeatability: jacobian.by_pixel[1].length() * error.noise,
+                correlation_length: jacobian.by_pixel[0].length() * self.correlated_columns(error),
                 deviation_sigma,
                 intensity: peak.intensity,
                 frame,
@@ -193,18 +199,29 @@ impl Simulation {
         points.collect()
     }
 
-    /// A peak's point and its covariance, head's frame, mm and mm².
-    fn point(&self, peak: &Peak, row_sigma: f64) -> Option<(DVec3, DMat3)> {
-        let pixel = peak.place();
-        let jacobian = self.calibration.point_jacobian(pixel)?;
-        let row = jacobian.by_pixel[1] * row_sigma;
-        let from_row = outer(row);
-        let known = self.calibration.is_exact();
-        let covariance = match known {
+    /// A pixel's point and its covariance, head's frame, mm and mm².
+    fn point(&self, jacobian: &PointJacobian, row_sigma: f64) -> (DVec3, DMat3) {
+        let from_row = outer(jacobian.by_pixel[1] * row_sigma);
+        let covariance = match self.calibration.is_exact() {
             true => from_row,
-            false => from_row + self.calibration.point_covariance(&jacobian),
+            false => from_row + self.calibration.point_covariance(jacobian),
         };
-        Some((jacobian.point, covariance))
+        (jacobian.point, covariance)
+    }
+
+    /// Correlation of what speckle does to lines 0, 1, … columns apart, for the line where it is narrowest.
+    pub(crate) fn column_correlation(&self) -> &[f64] {
+        let of_line = || {
+            self.errors
+                .column_correlation(self.plan.line_half_width_px / 2.0)
+        };
+        self.column_correlation.get_or_init(of_line)
+    }
+
+    /// Σ_k ρ_k over the errors of lines k columns apart, of which noise is no one's but their own.
+    fn correlated_columns(&self, error: &RowError) -> f64 {
+        let noise = (error.noise / error.sigma).powi(2).min(1.0);
+        noise + (1.0 - noise) * sum_of_both_sides(self.column_correlation())
     }
 
     /// Diameter of the lens's blur at a peak's point, px.
@@ -308,6 +325,6 @@ fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
-fn trace(m: &DMat3) -> f64 {
+pub(super) fn trace(m: &DMat3) -> f64 {
     m.x_axis.x + m.y_axis.y + m.z_axis.z
 }

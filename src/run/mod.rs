@@ -6,6 +6,7 @@ mod check;
 mod check_text;
 mod control;
 mod dataset;
+mod delivered;
 #[cfg(feature = "service")]
 mod draft;
 pub(crate) mod error_model;

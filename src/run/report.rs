@@ -12,9 +12,11 @@ use crate::frame::Blur;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
+use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::laser::Laser;
 use crate::math::DVec3;
 use crate::plan::rules::Effect;
+use crate::profile::{Filters, Smooth};
 use crate::report::chart::{color_bar, short};
 use crate::report::color::{Rgb, diverging, sequential};
 use crate::report::page::of_fate;
@@ -139,7 +141,28 @@ impl Shown<'_> {
                 format!("{} µm", short(1e3 / plan.px_per_mm)),
             ),
             ("speckle size", plan.grain.to_string()),
+            (
+                "repeatability: the same place again, nothing moved",
+                self.uncertainty(|u| u.median_repeatability_um),
+            ),
+            (
+                "place to place: speckle, noise and calibration",
+                self.uncertainty(|u| u.median_sigma_um),
+            ),
+            (
+                "errors are alike along the profile over",
+                self.uncertainty(|u| u.median_correlation_length_um),
+            ),
+            ("done to profiles", filters(&scene.measure.filters)),
         ]
+    }
+
+    /// A median of points without a flag.
+    fn uncertainty(&self, of: impl Fn(&UncertaintyStatistics) -> f64) -> String {
+        let found = self.summary.uncertainty.as_ref();
+        found.map_or("no points".into(), |u| {
+            format!("{} µm (median)", short(of(u)))
+        })
     }
 
     fn maps(&self, limits: &Limits, control: &Control) -> Result<Vec<ColorMap>> {
@@ -321,6 +344,32 @@ fn laser(laser: &Laser) -> String {
         format!("a line of {}°", given(fan.angle.to_degrees()))
     });
     format!("{wavelength} nm, {} mW, {shape}", given(power))
+}
+
+/// In the order in which it is done.
+fn filters(filters: &Filters) -> String {
+    let um = |mm: f64| short(given(mm * 1e3));
+    let steps = [
+        filters
+            .outlier
+            .map(|limit| format!("outliers by more than {} µm out", um(limit))),
+        (filters.average_frames > 1).then(|| format!("mean of {} frames", filters.average_frames)),
+        filters
+            .fill
+            .map(|length| format!("gaps up to {} µm filled", um(length))),
+        filters.smooth.map(|smooth| match smooth {
+            Smooth::Mean(columns) => format!("mean of {columns} columns"),
+            Smooth::Median(columns) => format!("median of {columns} columns"),
+        }),
+        filters
+            .resample
+            .map(|step| format!("a point every {} µm", um(step))),
+    ];
+    let steps: Vec<String> = steps.into_iter().flatten().collect();
+    match steps.is_empty() {
+        true => "nothing".into(),
+        false => steps.join(", then "),
+    }
 }
 
 fn camera(camera: &Camera) -> String {

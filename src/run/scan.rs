@@ -140,6 +140,7 @@ pub fn scan(
 fn key(scene: &Scene, options: &ScanOptions) -> Result<RunKey> {
     let frames = options.frames.clone().unwrap_or(0..scene.scan.frames);
     super::check_frames(scene, &frames)?;
+    check_averaged(scene, &frames)?;
     check_geometry(scene, options)?;
     Ok(RunKey {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -302,6 +303,8 @@ fn finish(
         control.check()?;
         Ok(FrameContent::of(simulation, frame).points)
     })?;
+    let measured = points.len();
+    let mut points = simulation.delivered(points);
     let alignment = align(simulation, &mut points);
     control.check()?;
     let poses = frames.clone().map(|frame| simulation.head_pose(frame));
@@ -315,7 +318,7 @@ fn finish(
         points: &points,
     });
     control.check()?;
-    let mut summary = summary(scene, frames, &points, out);
+    let mut summary = summary(scene, frames, (&points, measured), out);
     let images = !simulation.plan.geometry_only;
     let Foreseen { warnings, .. } =
         warnings::foreseen(scene, &simulation.accel, frames.clone(), images);
@@ -372,7 +375,13 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
     Some(fit)
 }
 
-fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path) -> ScanSummary {
+/// `measured`: points before profiles were filtered.
+fn summary(
+    scene: &Scene,
+    frames: &Range<u32>,
+    (points, measured): (&[CloudPoint], usize),
+    out: &Path,
+) -> ScanSummary {
     let columns = scene.camera.sensor.resolution.x;
     let valid = points.iter().filter(|p| p.is_valid());
     let flags = count_flags(points).into_iter();
@@ -380,12 +389,13 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         scene: scene.path.clone(),
         frames: frames.len() as u32,
         columns,
-        measured_share: points.len() as f64 / (columns as f64 * frames.len() as f64),
+        measured_share: measured as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
         blurred_share: None,
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(points),
+        filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
         alignment: None,
         accuracy: None,
@@ -394,6 +404,22 @@ fn summary(scene: &Scene, frames: &Range<u32>, points: &[CloudPoint], out: &Path
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),
         pictures: Vec::new(),
+    }
+}
+
+/// Profiles are averaged in groups of frames: a piece of a scan has whole ones.
+fn check_averaged(scene: &Scene, frames: &Range<u32>) -> Result<()> {
+    let count = scene.measure.filters.average_frames;
+    let starts = |frame: u32| frame.is_multiple_of(count) || frame == scene.scan.frames;
+    match starts(frames.start) && starts(frames.end) {
+        true => Ok(()),
+        false => Err(Error::Usage(format!(
+            "frames {}..{} of {}: expected them to begin and end at multiples of {count}, as \
+             measure.average_frames makes one profile of {count} frames",
+            frames.start,
+            frames.end,
+            scene.path.display()
+        ))),
     }
 }
 

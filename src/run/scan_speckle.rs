@@ -329,6 +329,27 @@ pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
     steps
 }
 
+/// Correlation ρ of what speckle does to the centroid in one column in frames 0, 1, … `count` − 1 apart, where the middle of
+/// the view lies on a surface that moves in its own plane: the pattern, correlated by γ, goes the way s with the surface under a line of
+/// radius w (1/e²). ∫x(x − s)·E(x)E(x − s)dx of a Gaussian line gives ρ = γ·exp(−s²/w²)·(1 − 2s²/w²). Motion along the line makes it
+/// less; that is left out.
+pub fn centroid_correlation_over_frames(scene: &Scene, count: u32) -> Vec<f64> {
+    let mut correlation = vec![1.0];
+    if count < 2 {
+        return correlation;
+    }
+    let anchor = anchor(scene, Follows::Middle, || None);
+    let view = surface_view(scene, None);
+    let in_laser = scene.head_from_laser.inverse().point(view.point);
+    let radius = scene.laser.beam.radius(in_laser.length());
+    for apart in 1..count {
+        let step = step_of_speckle(scene, &anchor, 0.0, apart);
+        let u = (step.across_sheet / radius).powi(2);
+        correlation.push(step.gamma * (-u).exp() * (1.0 - 2.0 * u));
+    }
+    correlation
+}
+
 /// What the way from the place `from` to that so many `frames` on does to speckle.
 fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: u32) -> SpeckleStep {
     let places = [from, from + frames as f64];

@@ -80,6 +80,18 @@ impl SensorFigures {
         Some(width(&beside[0]) * (1.0 - share) + width(&beside[1]) * share)
     }
 
+    /// Of the sensor, wherever the part is.
+    pub(crate) fn of_sensor(scene: &Scene, accel: &Accel) -> Option<SensorFigures> {
+        SensorFigures::of(scene, &Survey::of(scene, accel, 0..1))
+    }
+
+    /// [`SensorPlace::um_per_px`] at a distance (mm) from the laser; `None` where the camera does not see the beam.
+    pub(crate) fn um_per_px(scene: &Scene, distance: f64) -> Option<[f64; 2]> {
+        Sensor::new(scene)
+            .place(distance)
+            .map(|place| place.um_per_px)
+    }
+
     /// `None` if the camera sees nothing of the laser's light, wherever it falls.
     pub(crate) fn of(scene: &Scene, survey: &Survey) -> Option<SensorFigures> {
         let sensor = Sensor::new(scene);

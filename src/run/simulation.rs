@@ -18,7 +18,7 @@ use crate::profile::{Calibration, ErrorModel, Peak};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A frame and where the head is in the middle of it: computed once, and handed on.
 #[derive(Debug, Clone, Copy)]
@@ -46,6 +46,8 @@ pub struct Simulation {
     /// The scene's sensor, without noise if the plan leaves it out.
     readout: Readout,
     pub(crate) errors: Arc<ErrorModel>,
+    /// Worked out where it is first asked for.
+    pub(crate) column_correlation: OnceLock<Vec<f64>>,
     /// `None`: profiles come from images.
     pub(crate) sheet: Option<Sheet>,
 }
@@ -111,6 +113,7 @@ impl Simulation {
             clusters: None,
             readout: Readout::new(sensor, scene.laser.beam.wavelength),
             errors,
+            column_correlation: OnceLock::new(),
             sheet: scene
                 .laser
                 .fan

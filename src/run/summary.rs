@@ -6,6 +6,7 @@ use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::plan::accuracy::Accuracy;
+use crate::profile::Filters;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -32,6 +33,8 @@ pub struct ScanSummary {
     pub deviation_of_all: Option<DeviationStatistics>,
     /// `null` if no point is free of flags.
     pub uncertainty: Option<UncertaintyStatistics>,
+    /// What was done to profiles before they became points.
+    pub filters: Filters,
     /// Number of points with each flag.
     pub flags: BTreeMap<&'static str, usize>,
     /// `null` if the scene does not ask for it or too few points were measured.

@@ -421,7 +421,7 @@ pub struct RotaryTable {
 }
 
 /// How points are measured in the images.
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeasureTable {
     /// How the line's row is found to a fraction of a pixel. Default: centroid.
@@ -434,6 +434,36 @@ pub struct MeasureTable {
     /// Bring the cloud onto the CAD by a best fit before deviations are taken.
     /// Default: false.
     pub align: bool,
+    /// Takes out points that lie further than this from the median of the eight columns around. First of what is done to
+    /// profiles. Default: none is taken out.
+    pub outlier_um: Option<f64>,
+    /// Frames whose profiles are averaged, column by column, to make one, 1 to 1000. Second. Default: 1.
+    pub average_frames: u32,
+    /// Fills gaps along the profile up to this length by the line between the points on either side. Third. Default: none is filled.
+    pub fill_gaps_mm: Option<f64>,
+    /// The mean along the profile over so many columns, an odd number from 3 to 101. Fourth. Default: none.
+    pub mean_columns: Option<u32>,
+    /// The median along the profile, in place of the mean.
+    pub median_columns: Option<u32>,
+    /// Distance of the points along the profile, which then lie at whole multiples of it. Last. Default: one point a column.
+    pub resample_um: Option<f64>,
+}
+
+impl Default for MeasureTable {
+    fn default() -> MeasureTable {
+        MeasureTable {
+            peak: PeakFinder::default(),
+            choose: Choice::default(),
+            calibration: None,
+            align: false,
+            outlier_um: None,
+            average_frames: 1,
+            fill_gaps_mm: None,
+            mean_columns: None,
+            median_columns: None,
+            resample_um: None,
+        }
+    }
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.
@@ -528,7 +558,7 @@ fn pretty(schema: Value) -> String {
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AccuracyTable {
-    /// Greatest error of height, µm, that the simulation may add in 99 of 100 points:
+    /// Greatest error of height, µm, that the simulation may add in 99 of 100 single points from place to place, speckle in them:
     /// what moves heights by less is left out, and the cheapest methods that are good
     /// enough are taken.
     pub height_um: Option<f64>,

@@ -4,6 +4,7 @@ mod data_sheet;
 mod file;
 mod keys;
 mod locate;
+mod measure;
 mod optics;
 mod part;
 mod path;

@@ -14,7 +14,7 @@ use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
 use crate::mesh::{self, Groups, Mesh, Watch};
-use crate::profile::{Calibration, Choice, PeakFinder};
+use crate::profile::{Calibration, Choice, Filters, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::surface::Surfaces;
 use sha2::{Digest, Sha256};
@@ -41,6 +41,8 @@ pub struct Measure {
     pub choice: Choice,
     /// Best fit of the cloud to the CAD before deviations are taken.
     pub align: bool,
+    /// What is done to profiles before they are delivered.
+    pub filters: Filters,
 }
 
 /// A validated scene: the world at rest and the head's way through it. Cheap to clone:
@@ -127,6 +129,28 @@ impl Scene {
     #[doc(hidden)]
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
         Scene::resolved(Source::read(path)?, path, watch, None)
+    }
+
+    /// A scene of the sensor that a file of its own describes: before it, in the head's xy plane, a matt plane that
+    /// reflects half of the light. `None`: the file is a scene, or nothing that is known. Errors: mistakes in a sensor's file.
+    #[doc(hidden)]
+    pub fn of_sensor(path: &Path) -> Result<Option<Scene>> {
+        let is_file = path.metadata().is_ok_and(|kind| kind.is_file());
+        let text = std::fs::read_to_string(path).ok().filter(|_| is_file);
+        let table = text.and_then(|text| text.parse::<toml::Table>().ok());
+        let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));
+        let describes = ["data_sheet", "laser", "camera"].into_iter().any(has);
+        if !describes || ["part", "scan", "sensor"].into_iter().any(has) {
+            return Ok(None);
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let sensor = toml::Value::String(name.into_owned());
+        let scene = format!(
+            "seed = 1\nspeckle = true\nsensor = {sensor}\n[part]\nplane = {{ size_mm = [1000, 1000] }}\n\
+             reflectance = 0.5\n[scan]\nframes = 1\nstep_mm = 1\ndirection = [0, 1, 0]\n"
+        );
+        let source = Source::parse(path, scene)?;
+        Scene::resolved(source, path, &|_| Ok(()), None).map(Some)
     }
 
     /// The same of a scene given as text (TOML), whose files are sought in `folder`.
@@ -277,6 +301,7 @@ impl Resolver<'_> {
         let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
         let (scan, poses_hash) = self.scan(&file.scan, camera.sensor.exposure_ms)?;
         let speckle = self.speckle(&file, &camera, &surface)?;
+        let filters = self.filters(&file.measure, &camera, scan.frames)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         let methods = self.methods(
@@ -317,6 +342,7 @@ impl Resolver<'_> {
                 finder: file.measure.peak,
                 choice: file.measure.choose,
                 align: file.measure.align,
+                filters,
             },
             scan,
             calibration,

@@ -9,6 +9,7 @@ mod kept;
 pub mod lens;
 mod peak_image;
 mod peaks;
+mod sheet;
 mod speckle;
 mod synthetic;
 mod tiers;
@@ -24,8 +25,9 @@ pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,
 };
 pub use peaks::{ChartAxis, FinderError, PeakChart, chart_conditions, peak_chart};
+pub use sheet::{Figure, MEAN_OF, SHEET_STEPS, SheetPlace, SheetSummary, sheet};
 pub use speckle::{Grain, SpeckleSummary, speckle};
-pub use uncertainty::{MonteCarlo, monte_carlo};
+pub use uncertainty::{MonteCarlo, monte_carlo, repeatability};
 pub use wave::{
     ComparedMotion, MOST_TERMS, PATCH_STEPS, WaveEffort, WavePatch, WaveSummary, reference_motions,
     wave_patch, wave_reference,

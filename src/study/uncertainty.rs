@@ -21,6 +21,8 @@ pub struct MonteCarlo {
     pub frame: u32,
     /// Times the frame was taken, each with its own noise and speckle.
     pub seeds: u64,
+    /// Whether nothing moved: speckle stayed, and only noise was drawn anew. Errors are then from each column's mean.
+    pub fixed_speckle: bool,
     /// Peaks in the domain of the prediction, of all that were found.
     pub points: usize,
     /// Peaks in all.
@@ -83,23 +85,46 @@ pub fn monte_carlo(
         }
         (control.progress)(k + 1);
     }
-    let rows = errors.iter().zip(truth);
+    let rows = || errors.iter().zip(&truth);
     let all: Vec<Draw> = errors.iter().flatten().copied().collect();
+    let of = |(errors, truth): (&Vec<Draw>, &Option<Peak>)| {
+        of_column(errors, truth.as_ref()?, &calibration)
+    };
+    let columns_found = rows().filter_map(of).collect();
+    let taken = (frame, seeds, found);
+    written(
+        summary(&scene, taken, false, &all, columns_found, out),
+        columns,
+        out,
+    )
+}
+
+/// `taken`: frame, times, peaks in all.
+fn summary(
+    scene: &Scene,
+    (frame, seeds, found): (u32, u64, usize),
+    fixed_speckle: bool,
+    all: &[Draw],
+    columns: Vec<ColumnUncertainty>,
+    out: &Path,
+) -> MonteCarlo {
     let mean = |sum: f64| (!all.is_empty()).then(|| sum / all.len() as f64);
     let squares = all.iter().map(|e| (e.error / e.predicted).powi(2));
-    let summary = MonteCarlo {
+    MonteCarlo {
         scene: scene.path.clone(),
         frame,
         seeds,
+        fixed_speckle,
         points: all.len(),
         found,
         coverage: mean(all.iter().filter(|e| e.is_covered()).count() as f64),
         error_over_predicted: mean(squares.sum()).map(f64::sqrt),
-        columns: rows
-            .filter_map(|(errors, truth)| of_column(errors, &truth?, &calibration))
-            .collect(),
+        columns,
         picture: out.join("uncertainty.svg"),
-    };
+    }
+}
+
+fn written(summary: MonteCarlo, columns: u32, out: &Path) -> Result<MonteCarlo> {
     let svg = uncertainty_plot(
         &summary.columns,
         columns,
@@ -108,6 +133,67 @@ pub fn monte_carlo(
     files::write_bytes(&summary.picture, svg.as_bytes())?;
     files::write_json(&out.join("uncertainty.json"), &summary)?;
     Ok(summary)
+}
+
+/// The same of noise alone, for nothing moves: the truth of a column is the mean of its rows, whose own uncertainty is
+/// taken off.
+pub fn repeatability(
+    mut scene: Scene,
+    frame: u32,
+    seeds: u64,
+    out: &Path,
+    control: &Control,
+) -> Result<MonteCarlo> {
+    check_frame(&scene, frame)?;
+    scene.tolerance_um = None;
+    files::create_folder(out)?;
+    let simulation = Simulation::new(&scene)?;
+    let light = simulation.irradiance(frame);
+    let columns = scene.camera.sensor.resolution.x;
+    let mut by_column: Vec<Vec<(Peak, f64)>> = vec![Vec::new(); columns as usize];
+    let mut found = 0;
+    for k in 0..seeds {
+        control.check()?;
+        // Each as the noise of another frame.
+        let (peaks, stated) = simulation.peaks(&simulation.counts(k as u32, &light));
+        found += peaks.len();
+        for (peak, stated) in peaks.into_iter().zip(stated) {
+            if peak.flags.is_empty() {
+                by_column[peak.column as usize].push((peak, stated.noise));
+            }
+        }
+        (control.progress)(k + 1);
+    }
+    let of = |drawn: &Vec<(Peak, f64)>| {
+        let n = drawn.len() as f64;
+        let mean = drawn.iter().map(|(peak, _)| peak.row).sum::<f64>() / n;
+        // The mean holds a part of each error.
+        let whole = (n / (n - 1.0)).sqrt();
+        let error = |(peak, predicted): &(Peak, f64)| Draw {
+            error: (peak.row - mean) * whole,
+            predicted: *predicted,
+        };
+        let truth = Peak {
+            row: mean,
+            ..drawn.first()?.0
+        };
+        (drawn.len() > 1).then(|| (drawn.iter().map(error).collect::<Vec<Draw>>(), truth))
+    };
+    let drawn: Vec<(Vec<Draw>, Peak)> = by_column.iter().filter_map(of).collect();
+    let all: Vec<Draw> = drawn
+        .iter()
+        .flat_map(|(errors, _)| errors)
+        .copied()
+        .collect();
+    let of =
+        |(errors, truth): &(Vec<Draw>, Peak)| of_column(errors, truth, &simulation.calibration);
+    let columns_found = drawn.iter().filter_map(of).collect();
+    let taken = (frame, seeds, found);
+    written(
+        summary(&scene, taken, true, &all, columns_found, out),
+        columns,
+        out,
+    )
 }
 
 /// The unflagged peaks, by column, of a frame without speckle and noise.
@@ -160,15 +246,22 @@ impl MonteCarlo {
             let why = "no peak lies in the domain of the prediction (flag OUTSIDE)";
             return [format!("Nothing to compare: {why}"), String::new()];
         };
+        let (kind, seeds) = match self.fixed_speckle {
+            true => (
+                "the same place again, nothing moved",
+                "images of the same speckle",
+            ),
+            false => ("from place to place", "seeds of speckle and noise"),
+        };
         [
             format!(
-                "{} of 100 intervals of 95 % hold the truth; errors are {} times as large as \
+                "{} of 100 intervals of 95 % hold the truth {kind}; errors are {} times as large as \
                  predicted",
                 short(coverage * 100.0),
                 short(ratio)
             ),
             format!(
-                "Frame {}, {} seeds of speckle and noise, {} peaks, {} % of those found; the \
+                "Frame {}, {} {seeds}, {} peaks, {} % of those found; the \
                  others are flagged and not counted.",
                 self.frame,
                 self.seeds,

@@ -1,0 +1,294 @@
+use super::*;
+use crate::camera::CameraModel;
+use crate::math::rng::{Key, Purpose, Stream};
+use crate::math::{DVec3, Rigid};
+use glam::UVec2;
+use rand_distr::{Distribution, StandardNormal};
+
+const COLUMNS: usize = 1000;
+const PROFILES: u64 = 48;
+/// Of white noise under the weights 1, 2, 1.
+const RHO: [f64; 3] = [1.0, 4.0 / 6.0, 1.0 / 6.0];
+/// Of frames, speckle being half of it drawn anew.
+const RHO_FRAMES: [f64; 4] = [1.0, 0.5, 0.5, 0.5];
+const SPECKLE: f64 = 0.2;
+const NOISE: f64 = 0.1;
+
+/// A camera that looks straight at the laser plane, 0.1 mm a pixel.
+fn calibration() -> Calibration {
+    let camera = CameraModel {
+        resolution: UVec2::new(COLUMNS as u32, 1000),
+        pixel_pitch: 5e-3,
+        principal_distance: 50.0,
+        principal_point: DVec2::splat(500.0),
+        tilt: DVec2::ZERO,
+        distortion: None,
+    };
+    Calibration::perfect(camera, Rigid::IDENTITY, DVec3::Z * 1000.0, DVec3::Z)
+}
+
+fn filter(filters: Filters) -> ProfileFilter {
+    let share = NOISE.powi(2) / (NOISE.powi(2) + SPECKLE.powi(2));
+    ProfileFilter::new(
+        filters,
+        RHO.to_vec(),
+        RHO_FRAMES.to_vec(),
+        share,
+        calibration(),
+    )
+}
+
+fn speckle(stream: &mut Stream) -> Vec<f64> {
+    let white: Vec<f64> = (0..COLUMNS + 2)
+        .map(|_| StandardNormal.sample(stream))
+        .collect();
+    let sum = |w: &[f64]| (w[0] + 2.0 * w[1] + w[2]) / 6f64.sqrt();
+    white.windows(3).map(sum).collect()
+}
+
+/// Frames of a profile whose rows are those of `truth` and errors as stated.
+fn drawn(profile: u64, frames: usize, truth: impl Fn(f64) -> f64) -> Vec<Vec<ProfileRow>> {
+    let key = Key::new(profile, Purpose::SensorNoise);
+    let stays = speckle(&mut key.with(1000).stream());
+    let frame = |frame: usize| {
+        let mut stream = key.with(frame as u64).stream();
+        let anew = speckle(&mut stream);
+        let half = if frames == 1 { 0.0 } else { 0.5f64.sqrt() };
+        let row = |column: usize| {
+            let noise: f64 = StandardNormal.sample(&mut stream);
+            let rest = (1.0 - half * half).sqrt();
+            let speckle = half * stays[column] + rest * anew[column];
+            ProfileRow {
+                column: column as u32,
+                row: truth(column as f64) + SPECKLE * speckle + NOISE * noise,
+                speckle: SPECKLE,
+                noise: NOISE,
+            }
+        };
+        (0..COLUMNS).map(row).collect()
+    };
+    (0..frames).map(frame).collect()
+}
+
+/// How many of the 95 % intervals hold the truth, of how many, and as how many independent ones these tell.
+#[derive(Default)]
+struct Held {
+    all: f64,
+    held: f64,
+    independent: f64,
+}
+
+impl Held {
+    fn add(&mut self, row: &DeliveredRow, truth: impl Fn(f64) -> f64) {
+        let error = row.place.y - truth(row.place.x - 0.5);
+        self.all += 1.0;
+        self.held += f64::from(u8::from(error.abs() <= 1.96 * row.speckle.hypot(row.noise)));
+        self.independent += 1.0 / row.correlated_columns.max(1.0);
+    }
+
+    /// Within four binomial standard deviations (1 draw in 16 000 is not), and what the stated variance is not good to: a
+    /// relative error e of it moves 2·1.96·φ(1.96)·e/2 = 0.115 e of the intervals.
+    fn assert_95(&self, name: &str, variance_error: f64) {
+        let share = self.held / self.all;
+        let tolerance = 4.0 * (0.95 * 0.05 / self.independent).sqrt() + 0.115 * variance_error;
+        let text = format!("{name}: {share:.4} of {} ± {tolerance:.4}", self.all);
+        println!("{text}");
+        assert!((share - 0.95).abs() <= tolerance, "{text}");
+    }
+}
+
+fn held(
+    filters: Filters,
+    truth: impl Fn(f64) -> f64 + Copy,
+    change: impl Fn(&mut Vec<ProfileRow>),
+    of: impl Fn(&DeliveredRow) -> bool,
+) -> Held {
+    let filter = filter(filters);
+    let mut held = Held::default();
+    for profile in 0..PROFILES {
+        let mut frames = drawn(profile, filters.average_frames as usize, truth);
+        frames.iter_mut().for_each(&change);
+        let rows = filter.apply(&frames);
+        rows.iter()
+            .filter(|row| of(row))
+            .for_each(|row| held.add(row, truth));
+    }
+    held
+}
+
+fn nothing(_: &mut Vec<ProfileRow>) {}
+fn all(_: &DeliveredRow) -> bool {
+    true
+}
+fn slope(column: f64) -> f64 {
+    100.0 + 0.3 * column
+}
+
+/// Three columns of twenty are lost.
+fn with_gaps(rows: &mut Vec<ProfileRow>) {
+    rows.retain(|row| row.column % 20 > 2);
+}
+
+const NONE: Filters = Filters {
+    outlier: None,
+    average_frames: 1,
+    fill: None,
+    smooth: None,
+    resample: None,
+};
+
+#[test]
+fn intervals_hold_the_truth_of_planes_after_each_linear_filter() {
+    held(NONE, slope, nothing, all).assert_95("as measured", 0.0);
+    let mean = Filters {
+        smooth: Some(Smooth::Mean(7)),
+        ..NONE
+    };
+    held(mean, slope, nothing, all).assert_95("mean of 7", 0.0);
+    held(mean, slope, with_gaps, all).assert_95("mean of 7 beside gaps", 0.0);
+    let average = Filters {
+        average_frames: 4,
+        ..NONE
+    };
+    held(average, slope, nothing, all).assert_95("4 frames", 0.0);
+    let fill = Filters {
+        fill: Some(0.5),
+        ..NONE
+    };
+    let filled = held(fill, slope, with_gaps, |row| row.filled);
+    assert_eq!(filled.all, (PROFILES * 3 * 49) as f64);
+    filled.assert_95("filled", 0.0);
+    let resample = Filters {
+        resample: Some(0.073),
+        ..NONE
+    };
+    held(resample, slope, nothing, all).assert_95("resampled", 0.0);
+    let every = Filters {
+        outlier: Some(0.5),
+        average_frames: 4,
+        fill: Some(0.5),
+        smooth: Some(Smooth::Mean(5)),
+        resample: Some(0.25),
+    };
+    held(every, slope, with_gaps, all).assert_95("all of them", 0.0);
+}
+
+/// The variance of the median is drawn to 2 %, on a slope between drawn climbs; the climb that is measured is itself uncertain:
+/// 5 % in all.
+#[test]
+fn intervals_hold_the_truth_of_planes_after_a_median() {
+    let median = Filters {
+        smooth: Some(Smooth::Median(7)),
+        ..NONE
+    };
+    held(median, |_| 400.0, nothing, all).assert_95("median of 7, level", 0.05);
+    held(median, |c| 100.0 + 0.05 * c, nothing, all).assert_95("median of 7, gentle", 0.05);
+    held(median, slope, nothing, all).assert_95("median of 7, steep", 0.05);
+    let resampled = Filters {
+        resample: Some(0.1),
+        ..median
+    };
+    // What resampling averages of two medians is taken to be correlated as means are.
+    held(resampled, slope, nothing, all).assert_95("and resampled", 0.1);
+}
+
+/// Errors that pass are cut off at the limit, and intervals hold the truth as often or more.
+#[test]
+fn outliers_go_and_nothing_else() {
+    let spoil = |rows: &mut Vec<ProfileRow>| {
+        rows[10..]
+            .iter_mut()
+            .step_by(37)
+            .for_each(|row| row.row += 30.0);
+    };
+    let outlier = Filters {
+        outlier: Some(0.15),
+        ..NONE
+    };
+    let found = held(outlier, slope, spoil, all);
+    // 27 of 1000 columns; a limit of 1.5 px is six standard deviations of the difference.
+    assert_eq!(found.all, (PROFILES * (1000 - 27)) as f64);
+    found.assert_95("without outliers", 0.0);
+}
+
+/// Σ_k ρ_k of what was delivered, from the scatter of means over many columns.
+#[test]
+fn the_correlation_is_what_means_over_columns_say() {
+    for (name, smooth) in [
+        ("none", None),
+        ("mean", Some(Smooth::Mean(5))),
+        ("median", Some(Smooth::Median(5))),
+    ] {
+        let filter = filter(Filters { smooth, ..NONE });
+        const TOGETHER: usize = 100;
+        let (mut squares, mut predicted, mut count) = (0.0, 0.0, 0.0);
+        for profile in 0..6 * PROFILES {
+            let rows = filter.apply(&drawn(profile, 1, |_| 400.0));
+            for rows in rows.chunks_exact(TOGETHER) {
+                let mean =
+                    rows.iter().map(|row| row.place.y - 400.0).sum::<f64>() / TOGETHER as f64;
+                let row = rows[TOGETHER / 2];
+                squares += mean * mean;
+                let variance = row.speckle.powi(2) + row.noise.powi(2);
+                predicted += variance * row.correlated_columns / TOGETHER as f64;
+                count += 1.0;
+            }
+        }
+        let ratio = squares / predicted;
+        // 2880 means: 4·√(2/2880) = 0.11; ends of a block lack 2·Σ|k|ρ_k/100/n_c < 0.05.
+        println!("{name}: {ratio:.3} of {count}");
+        assert!((ratio - 1.0).abs() < 0.16, "{name}: {ratio}");
+    }
+}
+
+/// A step of 8 σ, away from which by half a window intervals hold, and within which points are smeared: those further off than
+/// noise explains are told.
+#[test]
+fn smoothing_over_a_step_is_told() {
+    let step = |column: f64| if column < 500.0 { 400.0 } else { 410.0 };
+    for (name, smooth) in [("mean", Smooth::Mean(7)), ("median", Smooth::Median(7))] {
+        let filters = Filters {
+            smooth: Some(smooth),
+            ..NONE
+        };
+        let near = |row: &DeliveredRow| (row.place.x - 500.0).abs() < 3.0;
+        held(filters, step, nothing, |row| !near(row)).assert_95(name, 0.05);
+        let smeared = held(filters, step, nothing, |row| near(row) && !row.moved);
+        let told = held(filters, step, nothing, |row| near(row) && row.moved);
+        println!(
+            "{name}, within half a window of a step: {} told, of the {} others {:.3} hold",
+            told.all,
+            smeared.all,
+            smeared.held / smeared.all.max(1.0)
+        );
+        match smooth {
+            // Six columns a profile see the other side with one in seven of the weight or more: 1.4 px, 6.4 σ.
+            Smooth::Mean(_) => assert!(told.all >= 0.99 * 6.0 * PROFILES as f64),
+            // A median takes a row of its own side, the uppermost of them at worst.
+            Smooth::Median(_) => assert!(told.all == 0.0 && smeared.held > 0.7 * smeared.all),
+        }
+    }
+    // Nothing is told of a plane: 1 in 16 000 is by chance.
+    let mean = Filters {
+        smooth: Some(Smooth::Mean(7)),
+        ..NONE
+    };
+    let told = held(mean, slope, nothing, |row| row.moved);
+    assert!(told.all < 20.0, "{}", told.all);
+}
+
+#[test]
+fn resampled_points_lie_at_even_places() {
+    let filter = filter(Filters {
+        resample: Some(0.25),
+        ..NONE
+    });
+    let rows = filter.apply(&drawn(1, 1, slope));
+    for row in &rows {
+        let along = filter.along(row.place).unwrap() / 0.25;
+        assert!((along - along.round()).abs() < 1e-9);
+    }
+    // From −49.95 to 49.95 mm.
+    assert_eq!(rows.len(), 399);
+    assert!(filter.apply(&[Vec::new()]).is_empty());
+}

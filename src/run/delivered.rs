@@ -1,0 +1,166 @@
+//! The points that the sensor delivers of those it measured: filtered along the profile and over frames.
+
+use super::measure::trace;
+use super::simulation::Simulation;
+use crate::inspect::cloud::CloudPoint;
+use crate::inspect::deviation::signed_distance;
+use crate::math::DVec2;
+use crate::profile::{DeliveredRow, Filters, Flags, PointJacobian, ProfileFilter, ProfileRow};
+use crate::run::scan_speckle::centroid_correlation_over_frames;
+use rayon::prelude::*;
+
+/// A measured point and what its row's errors are made of.
+struct Measured<'a> {
+    point: &'a CloudPoint,
+    row: ProfileRow,
+    jacobian: PointJacobian,
+    /// Variance of the position that is not the row's, mm²: the calibration's.
+    of_calibration: f64,
+}
+
+impl Simulation {
+    /// Of points in the order of frames, then columns, of whole groups of averaged frames. Doubtful points stay as they
+    /// are and say nothing of others.
+    pub(crate) fn delivered(&self, points: Vec<CloudPoint>) -> Vec<CloudPoint> {
+        let filters = self.scene.measure.filters;
+        if filters == Filters::default() {
+            return points;
+        }
+        let count = filters.average_frames;
+        let noise = |p: &CloudPoint| (p.repeatability / p.sigma).powi(2);
+        let mut shares: Vec<f64> = points
+            .iter()
+            .filter(|p| p.is_valid() && p.sigma > 0.0)
+            .map(noise)
+            .collect();
+        shares.sort_by(f64::total_cmp);
+        let noise_share = shares
+            .get(shares.len() / 2)
+            .map_or(0.0, |share| share.min(1.0));
+        let filter = ProfileFilter::new(
+            filters,
+            self.column_correlation().to_vec(),
+            centroid_correlation_over_frames(&self.scene, count),
+            noise_share,
+            self.calibration.clone(),
+        );
+        let groups: Vec<&[CloudPoint]> = points
+            .chunk_by(|a, b| a.frame / count == b.frame / count)
+            .collect();
+        let delivered = groups
+            .par_iter()
+            .map(|group| self.group(&filter, group, count));
+        delivered.collect::<Vec<_>>().concat()
+    }
+
+    /// Those of the frames that make one profile.
+    fn group(&self, filter: &ProfileFilter, points: &[CloudPoint], count: u32) -> Vec<CloudPoint> {
+        let (valid, doubtful): (Vec<&CloudPoint>, Vec<&CloudPoint>) =
+            points.iter().partition(|p| p.is_valid());
+        let mut frames: Vec<Vec<ProfileRow>> = vec![Vec::new(); count as usize];
+        let first = points[0].frame - points[0].frame % count;
+        // The last of a scan may be fewer.
+        let last = self.scene.scan.frames.min(first + count);
+        frames.truncate((last - first) as usize);
+        let mut by_column: Vec<Measured> = Vec::new();
+        for measured in valid.iter().filter_map(|point| self.measured(point)) {
+            frames[(measured.point.frame - first) as usize].push(measured.row);
+            by_column.push(measured);
+        }
+        by_column.sort_by_key(|m| (m.point.column, m.point.frame));
+        let middle = f64::from(first) + (f64::from(last - first) - 1.0) / 2.0;
+        let mut all: Vec<CloudPoint> = filter
+            .apply(&frames)
+            .iter()
+            .filter_map(|row| self.delivered_point(row, middle, &by_column))
+            .collect();
+        let mut doubtful: Vec<CloudPoint> = doubtful.into_iter().copied().collect();
+        doubtful.sort_by_key(|p| (p.column, p.frame));
+        doubtful.dedup_by_key(|p| p.column);
+        let columns: Vec<u32> = all.iter().map(|p| p.column).collect();
+        let missing = doubtful
+            .into_iter()
+            .filter(|p| columns.binary_search(&p.column).is_err());
+        all.extend(missing.map(|p| CloudPoint {
+            frame: middle as u32,
+            ..p
+        }));
+        all.sort_by_key(|p| p.column);
+        all
+    }
+
+    fn measured<'a>(&self, point: &'a CloudPoint) -> Option<Measured<'a>> {
+        let place = DVec2::new(f64::from(point.column) + 0.5, point.row);
+        let jacobian = self.calibration.point_jacobian(place)?;
+        let of_calibration = match self.calibration.is_exact() {
+            true => 0.0,
+            false => trace(&self.calibration.point_covariance(&jacobian)),
+        };
+        let per_row = jacobian.by_pixel[1].length();
+        let noise = point.repeatability / per_row;
+        let of_row = (point.sigma.powi(2) - of_calibration).max(0.0) / per_row.powi(2);
+        let row = ProfileRow {
+            column: point.column,
+            row: point.row,
+            speckle: (of_row - noise * noise).max(0.0).sqrt(),
+            noise,
+        };
+        Some(Measured {
+            point,
+            row,
+            jacobian,
+            of_calibration,
+        })
+    }
+
+    /// Seen from where the head is at a place on the path. What the deviation's uncertainty has beside the row's
+    /// (calibration, chords, walls, edges) stays as it was.
+    fn delivered_point(
+        &self,
+        delivered: &DeliveredRow,
+        at: f64,
+        measured: &[Measured],
+    ) -> Option<CloudPoint> {
+        let column = delivered.place.x as u32;
+        let after = measured.partition_point(|m| m.point.column < column);
+        let nearest = [after.checked_sub(1), Some(after)].into_iter().flatten();
+        let nearest = nearest.filter_map(|i| measured.get(i));
+        let nearest = nearest.min_by_key(|m| m.point.column.abs_diff(column))?;
+        let jacobian = self.calibration.point_jacobian(delivered.place)?;
+        let part_from_head = self.scene.part_from_head_at(at);
+        let position = part_from_head.point(jacobian.point);
+        let eye = part_from_head.point(self.calibration.head_from_camera.translation);
+        let (deviation, normal) = signed_distance(&self.accel, position, eye, &mut None);
+        let (by_column, by_row) = (jacobian.by_pixel[0], jacobian.by_pixel[1]);
+        let sigma_row = delivered.speckle.hypot(delivered.noise);
+        let before = &nearest.row;
+        let across = |normal: glam::DVec3, by_row: glam::DVec3, sigma: f64| {
+            part_from_head.inverse().vector(normal).dot(by_row) * sigma
+        };
+        let was = across(
+            nearest.point.normal.as_dvec3(),
+            nearest.jacobian.by_pixel[1],
+            before.speckle.hypot(before.noise),
+        );
+        let rest = (nearest.point.deviation_sigma.powi(2) - was * was).max(0.0);
+        let mut flags = nearest.point.flags;
+        flags.set(Flags::FILLED, delivered.filled);
+        if delivered.moved {
+            flags.insert(Flags::EDGE);
+        }
+        Some(CloudPoint {
+            position,
+            deviation,
+            sigma: (by_row.length() * sigma_row).hypot(nearest.of_calibration.sqrt()),
+            repeatability: by_row.length() * delivered.noise,
+            correlation_length: by_column.length() * delivered.correlated_columns,
+            deviation_sigma: across(normal, by_row, sigma_row).hypot(rest.sqrt()),
+            frame: at as u32,
+            column,
+            row: delivered.place.y,
+            flags,
+            normal: normal.as_vec3(),
+            ..*nearest.point
+        })
+    }
+}

@@ -1,0 +1,66 @@
+//! `[measure]`: what is done to profiles before they are delivered.
+
+use super::file::MeasureTable;
+use super::resolver::Resolver;
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::profile::{Filters, Smooth};
+
+/// Least distance of resampled points, of that of two columns where the lens is in focus: closer ones tell nothing more.
+const FINEST: f64 = 0.25;
+
+impl Resolver<'_> {
+    pub(super) fn filters(
+        &self,
+        table: &MeasureTable,
+        camera: &Camera,
+        frames: u32,
+    ) -> Result<Filters> {
+        let length = |value: Option<f64>, key: &str, mm: f64| -> Result<Option<f64>> {
+            let key = format!("measure.{key}");
+            let length = value.map(|value| self.positive(value, &key));
+            Ok(length.transpose()?.map(|length| length * mm))
+        };
+        let average_frames = table.average_frames;
+        self.check(
+            (1..=1000).contains(&average_frames) && average_frames <= frames,
+            "measure.average_frames",
+            &format!("from 1 to 1000, and no more than the scan's {frames} frames"),
+        )?;
+        let columns = |value: Option<u32>, key: &str| -> Result<Option<u32>> {
+            match value {
+                None => Ok(None),
+                Some(columns) => {
+                    let holds = (3..=101).contains(&columns) && columns % 2 == 1;
+                    let expected = "an odd number of columns from 3 to 101";
+                    self.check(holds, &format!("measure.{key}"), expected)?;
+                    Ok(Some(columns))
+                }
+            }
+        };
+        let mean = columns(table.mean_columns, "mean_columns")?.map(Smooth::Mean);
+        let median = columns(table.median_columns, "median_columns")?.map(Smooth::Median);
+        self.check(
+            mean.is_none() || median.is_none(),
+            "measure.median_columns",
+            "one of mean_columns and median_columns",
+        )?;
+        let resample = length(table.resample_um, "resample_um", 1e-3)?;
+        let column = camera.sensor.pixel_pitch / camera.lens.magnification();
+        self.check(
+            resample.is_none_or(|step| step >= FINEST * column),
+            "measure.resample_um",
+            &format!(
+                "a quarter of the distance of two columns or more, {:.3} µm",
+                FINEST * column * 1e3
+            ),
+        )?;
+        Ok(Filters {
+            outlier: length(table.outlier_um, "outlier_um", 1e-3)?,
+            average_frames,
+            fill: length(table.fill_gaps_mm, "fill_gaps_mm", 1.0)?,
+            smooth: mean.or(median),
+            resample,
+        })
+    }
+}

@@ -1,0 +1,518 @@
+//! A sensor measured as data sheets measure it: a plane square to the beam, moved through the measuring range.
+
+use crate::error::{Error, Result};
+use crate::math::{DMat3, DVec2, DVec3, Rigid};
+use crate::mesh::{Mesh, shapes};
+use crate::profile::{Peak, RowError, sum_of_both_sides};
+use crate::report::chart::short;
+use crate::report::sheet_plot::{PlottedPlace, sheet_plot};
+use crate::run::ready::hierarchy_watched;
+use crate::run::{Control, SensorFigures, Simulation, files};
+use crate::scene::{Motion, Moves, ScanPath, Scene};
+use crate::speckle::theory::centroid_noise;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Distances from the laser.
+const PLACES: usize = 9;
+/// Share of the range at either end that is left out, where the sensor's border cuts the line.
+const ENDS: f64 = 0.05;
+/// Places of the plane at one distance, each a frame: the plane moves in itself by [`APART`] radii of the beam.
+const FRAMES: u32 = 20;
+const APART: f64 = 4.0;
+/// Images of one place, with noise drawn anew.
+const IMAGES: u32 = 32;
+/// Columns, and profiles, whose means are taken.
+pub const MEAN_OF: [usize; 2] = [100, 10];
+/// Places of an edge within a column, and columns to either side that are looked at.
+const EDGES: u32 = 16;
+const BESIDE_EDGE: f64 = 12.0;
+/// Height of the edge's step, in standard deviations of the line's image: both lines are then found as one, whose middle goes
+/// from one to the other as the light of the column does.
+const STEP: f64 = 0.5;
+
+/// `sheet.json`: what a data sheet would say.
+#[derive(Debug, Serialize)]
+pub struct SheetSummary {
+    /// The file of the sensor or scene.
+    pub sensor: PathBuf,
+    /// From the near end of the range to the far one.
+    pub places: Vec<SheetPlace>,
+    /// Greatest less least [`SheetPlace::linearity_um`].
+    pub linearity_um: Option<f64>,
+    /// Of it in the range looked at, percent.
+    pub linearity_percent: Option<f64>,
+    /// Where the picture was written.
+    pub picture: PathBuf,
+}
+
+/// A figure as simulated measurements scatter, and as it is predicted, µm.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Figure {
+    /// Standard deviation that was found.
+    pub found_um: f64,
+    /// And stated from optics and image.
+    pub predicted_um: f64,
+}
+
+/// Of a plane square to the beam, at one distance. Heights are along the beam, and of points without a flag.
+#[derive(Debug, Clone, Serialize)]
+pub struct SheetPlace {
+    /// Along the beam from the laser, mm.
+    pub distance_mm: f64,
+    /// For one pixel: along the line, and along the beam.
+    pub um_per_px: [f64; 2],
+    /// Points that were measured.
+    pub points: usize,
+    /// Single points of the same place, nothing moved: speckle stays.
+    pub repeatability: Option<Figure>,
+    /// Single points from place to place: speckle in it.
+    pub place_to_place: Option<Figure>,
+    /// 0.3905·√(hσ)·C of [`centroid_noise`] in height and the noise: round pupil, pixels finer than grains.
+    pub closed_form_um: Option<f64>,
+    /// Σ_k ρ_k over the correlation of points k columns apart, as found and as predicted.
+    pub correlated_columns: Option<[f64; 2]>,
+    /// Means over the first of [`MEAN_OF`], columns side by side, from place to place.
+    pub mean_of_columns: Option<Figure>,
+    /// Means over the second, profiles of different places, column by column.
+    pub mean_of_profiles: Option<Figure>,
+    /// Indicated less true height, mean over all columns and places, and its standard uncertainty.
+    pub linearity_um: Option<[f64; 2]>,
+    /// From 10 to 90 % of a low step along the beam's plane, without speckle and noise.
+    pub edge_10_90_um: Option<f64>,
+}
+
+/// Measures the sensor of a scene over its measuring range, and writes `sheet.json` and `sheet.svg`. The target is a plane of the
+/// scene's surface. Exposure and calibration are the scene's.
+///
+/// # Errors
+/// The camera sees nothing of the laser's light, wherever it falls; those of [`Simulation::new`].
+pub fn sheet(mut scene: Scene, out: &Path, control: &Control) -> Result<SheetSummary> {
+    // What scatters must not be left out.
+    scene.tolerance_um = None;
+    files::create_folder(out)?;
+    let figures = {
+        let (scene, accel) = hierarchy_watched(&scene, control)?;
+        SensorFigures::of_sensor(&scene, &accel)
+    };
+    let figures = figures.ok_or_else(|| {
+        let path = scene.path.display();
+        Error::Usage(format!(
+            "{path}: the camera sees nothing of the laser's light, wherever it falls, so there is no \
+             range to measure; `lasertrace check` says where both look"
+        ))
+    })?;
+    let [near, far] = figures.ends();
+    let ends = [near + ENDS * (far - near), far - ENDS * (far - near)];
+    let mut places = Vec::new();
+    for i in 0..PLACES {
+        let share = i as f64 / (PLACES - 1) as f64;
+        let distance = ends[0] + share * (ends[1] - ends[0]);
+        if let Some(um_per_px) = SensorFigures::um_per_px(&scene, distance) {
+            let target = Target {
+                scene: &scene,
+                distance,
+                size: 8.0 * far,
+                um_per_px,
+            };
+            places.push(target.measured(control)?);
+        }
+        (control.progress)(i as u64 + 1);
+    }
+    let means = places
+        .iter()
+        .filter_map(|p| p.linearity_um)
+        .map(|[mean, _]| mean);
+    let [least, most] = means.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], m| {
+        [a.min(m), b.max(m)]
+    });
+    let linearity_um = (most >= least).then(|| most - least);
+    let summary = SheetSummary {
+        sensor: scene.path.clone(),
+        linearity_um,
+        linearity_percent: linearity_um.map(|um| 0.1 * um / (ends[1] - ends[0])),
+        places,
+        picture: out.join("sheet.svg"),
+    };
+    let svg = sheet_plot(&summary.plotted(), &summary.headline());
+    files::write_bytes(&summary.picture, svg.as_bytes())?;
+    files::write_json(&out.join("sheet.json"), &summary)?;
+    Ok(summary)
+}
+
+/// Number of steps of which [`sheet`] tells its progress.
+pub const SHEET_STEPS: u64 = PLACES as u64;
+
+/// What stands before the sensor.
+struct Target<'a> {
+    scene: &'a Scene,
+    /// From the laser along the beam.
+    distance: f64,
+    size: f64,
+    /// There.
+    um_per_px: [f64; 2],
+}
+
+impl Target<'_> {
+    /// The scene with a part whose top is at the distance, `height` above its origin, and moves by `step` (laser's axes) from frame to frame.
+    fn scene(&self, mesh: Mesh, height: f64, step: DVec3, frames: u32) -> Scene {
+        let from = &self.scene.head_from_laser;
+        let part = Rigid {
+            // z towards the laser, x along the line.
+            rotation: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+            translation: DVec3::Z * (self.distance + height) - step * (f64::from(frames - 1) / 2.0),
+        };
+        let mut scene = self.scene.clone();
+        scene.mesh = Arc::new(mesh);
+        scene.copies = vec![Rigid::IDENTITY].into();
+        scene.part_at_rest = *from * part;
+        scene.scan = ScanPath {
+            frames,
+            moves: Moves::Part,
+            motion: Motion::Linear {
+                step: from.vector(step),
+            },
+            ..ScanPath::at_rest()
+        };
+        scene
+    }
+
+    fn measured(&self, control: &Control) -> Result<SheetPlace> {
+        let radius = self.scene.laser.beam.radius(self.distance);
+        let plane = shapes::plane(DVec2::splat(self.size)).expect("a size above 0");
+        let scene = self.scene(plane, 0.0, DVec3::Y * (APART * radius), FRAMES);
+        let simulation = Simulation::watched(&scene, control)?;
+        let sensor = Heights::of(&simulation);
+        let still = self.repeated(&simulation, &sensor);
+        let mut frames = Vec::new();
+        for frame in 0..FRAMES {
+            control.check()?;
+            frames.push(sensor.points(&simulation, &simulation.image(frame)));
+        }
+        let points: Vec<Height> = frames.iter().flatten().copied().collect();
+        let n = points.len() as f64;
+        let mut place = SheetPlace {
+            distance_mm: self.distance,
+            um_per_px: self.um_per_px,
+            points: points.len(),
+            repeatability: still,
+            place_to_place: None,
+            closed_form_um: None,
+            correlated_columns: None,
+            mean_of_columns: None,
+            mean_of_profiles: None,
+            linearity_um: None,
+            edge_10_90_um: self.edge(&simulation, control)?,
+        };
+        if points.len() < 2 {
+            return Ok(place);
+        }
+        let mean = points.iter().map(|p| self.distance - p.z).sum::<f64>() / n;
+        let errors: Vec<Vec<(u32, f64)>> = frames
+            .iter()
+            .map(|points| {
+                points
+                    .iter()
+                    .map(|p| (p.column, self.distance - p.z - mean))
+                    .collect()
+            })
+            .collect();
+        let square = errors.iter().flatten().map(|(_, e)| e * e).sum::<f64>() / (n - 1.0);
+        let rms = |of: &dyn Fn(&Height) -> f64| {
+            (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / n).sqrt()
+        };
+        let predicted = rms(&|p| p.sigma);
+        place.place_to_place = Some(Figure {
+            found_um: 1e3 * square.sqrt(),
+            predicted_um: 1e3 * predicted,
+        });
+        let noise = rms(&|p| p.noise);
+        place.closed_form_um = simulation.scene.speckle.map(|model| {
+            let law = |p: &Height| {
+                let h = simulation.plan.grain.speckle_extent_px[1];
+                p.per_row * centroid_noise(h, p.width, model.coherence.contrast())
+            };
+            1e3 * rms(&law).hypot(noise)
+        });
+        let rho = simulation.column_correlation();
+        let share = (noise / predicted).powi(2).min(1.0);
+        let correlated = share + (1.0 - share) * sum_of_both_sides(rho);
+        let found = found_correlation(&errors, 2 * rho.len(), square);
+        place.correlated_columns = Some([found, correlated]);
+        let [columns, profiles] = MEAN_OF;
+        place.mean_of_columns = spread_of_means(&errors, columns).map(|found| Figure {
+            found_um: 1e3 * found,
+            predicted_um: 1e3 * predicted * mean_over(columns, share, rho).sqrt(),
+        });
+        place.mean_of_profiles = spread_over_frames(&errors, profiles).map(|found| Figure {
+            found_um: 1e3 * found,
+            predicted_um: 1e3 * predicted / (profiles as f64).sqrt(),
+        });
+        place.linearity_um = Some([1e3 * mean, 1e3 * (square * correlated / n).sqrt()]);
+        Ok(place)
+    }
+
+    /// The scatter of a column about its mean over images of one place, of all columns that all images have.
+    fn repeated(&self, simulation: &Simulation, sensor: &Heights) -> Option<Figure> {
+        let light = simulation.irradiance(0);
+        let mut by_column = vec![Vec::new(); simulation.scene.camera.sensor.resolution.x as usize];
+        for image in 0..IMAGES {
+            for point in sensor.points(simulation, &simulation.counts(image, &light)) {
+                by_column[point.column as usize].push(point);
+            }
+        }
+        let whole = || {
+            by_column
+                .iter()
+                .filter(|points| points.len() == IMAGES as usize)
+        };
+        let n = IMAGES as f64;
+        let (mut found, mut predicted, mut columns) = (0.0, 0.0, 0.0);
+        for points in whole() {
+            let mean = points.iter().map(|p| p.z).sum::<f64>() / n;
+            found += points.iter().map(|p| (p.z - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            predicted += points.iter().map(|p| p.noise.powi(2)).sum::<f64>() / n;
+            columns += 1.0;
+        }
+        (columns > 0.0).then(|| Figure {
+            found_um: 1e3 * f64::sqrt(found / columns),
+            predicted_um: 1e3 * f64::sqrt(predicted / columns),
+        })
+    }
+
+    /// Width of the response to a low step across the line, as the step passes the columns. `simulation` is of the plane.
+    fn edge(&self, simulation: &Simulation, control: &Control) -> Result<Option<f64>> {
+        let sensor = Heights::of(simulation);
+        let [column, row] = self.um_per_px.map(|um| 1e-3 * um);
+        let step = STEP * simulation.plan.line_half_width_px / 2.0 * row;
+        let height = self.size.max(4.0 * step);
+        let size = DVec3::new(self.size, self.size, height);
+        let block = shapes::step_block(size, step).expect("a step lower than its block");
+        let by = DVec3::X * (column / f64::from(EDGES));
+        let mut scene = self.scene(block, height, by, EDGES);
+        scene.speckle = None;
+        scene.camera.sensor.noise = None;
+        scene.camera.sensor.exposure_ms = simulation.scene.camera.sensor.exposure_ms;
+        scene.auto_exposure = None;
+        let edges = Simulation::watched(&scene, control)?;
+        let mut response = Vec::new();
+        for frame in 0..EDGES {
+            control.check()?;
+            let at = (f64::from(frame) - f64::from(EDGES - 1) / 2.0) * by.x;
+            let points = sensor.all_points(&edges, &edges.image(frame));
+            response.extend(points.iter().map(|p| (p.x - at, p.z)));
+        }
+        response.retain(|(x, _)| x.abs() < BESIDE_EDGE * column);
+        response.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Low for x < 0.
+        let share = |z: f64| (self.distance + step - z) / step;
+        let at = |level: f64| {
+            let after = response.iter().position(|&(_, z)| share(z) >= level)?;
+            let [a, b] = [after.checked_sub(1)?, after].map(|i| response[i]);
+            let [low, high] = [share(a.1), share(b.1)];
+            Some(a.0 + (b.0 - a.0) * (level - low) / (high - low))
+        };
+        Ok(at(0.1).zip(at(0.9)).map(|(low, high)| 1e3 * (high - low)))
+    }
+}
+
+/// A point in the laser's frame, mm.
+#[derive(Debug, Clone, Copy)]
+struct Height {
+    column: u32,
+    x: f64,
+    z: f64,
+    /// Standard uncertainties of z, as stated: all, and noise alone.
+    sigma: f64,
+    noise: f64,
+    /// mm of z for a row.
+    per_row: f64,
+    /// Standard deviation of the line, px.
+    width: f64,
+}
+
+/// Points of images in the laser's frame.
+struct Heights {
+    laser_from_camera: Rigid,
+}
+
+impl Heights {
+    fn of(simulation: &Simulation) -> Heights {
+        let head_from_camera = simulation.calibration.head_from_camera;
+        Heights {
+            laser_from_camera: simulation.scene.head_from_laser.inverse() * head_from_camera,
+        }
+    }
+
+    fn point(&self, simulation: &Simulation, peak: &Peak, error: &RowError) -> Option<Height> {
+        let calibration = &simulation.calibration;
+        let [before, place, after] = [-0.5, 0.0, 0.5].map(|by| {
+            let point = calibration.point_at(peak.place() + DVec2::Y * by)?;
+            Some(self.laser_from_camera.point(point))
+        });
+        let per_row = (after?.z - before?.z).abs();
+        Some(Height {
+            column: peak.column,
+            x: place?.x,
+            z: place?.z,
+            sigma: per_row * error.sigma,
+            noise: per_row * error.noise,
+            per_row,
+            width: peak.sigma,
+        })
+    }
+
+    fn all_points(&self, simulation: &Simulation, counts: &crate::camera::Counts) -> Vec<Height> {
+        let (peaks, errors) = simulation.peaks(counts);
+        let points = peaks.iter().zip(&errors);
+        points
+            .filter_map(|(peak, error)| self.point(simulation, peak, error))
+            .collect()
+    }
+
+    /// Those without a flag.
+    fn points(&self, simulation: &Simulation, counts: &crate::camera::Counts) -> Vec<Height> {
+        let (peaks, errors) = simulation.peaks(counts);
+        let points = peaks
+            .iter()
+            .zip(&errors)
+            .filter(|(peak, _)| peak.flags.is_empty());
+        points
+            .filter_map(|(peak, error)| self.point(simulation, peak, error))
+            .collect()
+    }
+}
+
+/// Σ_k ρ_k up to so many columns apart, of errors of this mean square.
+fn found_correlation(frames: &[Vec<(u32, f64)>], lags: usize, square: f64) -> f64 {
+    let at = |lag: usize| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for errors in frames {
+            for (a, b) in errors.iter().zip(errors.iter().skip(lag)) {
+                if b.0 - a.0 == lag as u32 {
+                    sum += a.1 * b.1;
+                    count += 1.0;
+                }
+            }
+        }
+        sum / f64::max(count, 1.0) / square
+    };
+    1.0 + 2.0 * (1..=lags).map(at).sum::<f64>()
+}
+
+/// Variance of the mean over n columns over that of one, of which a share is noise and the rest correlated by ρ.
+fn mean_over(columns: usize, noise: f64, rho: &[f64]) -> f64 {
+    let n = columns as f64;
+    let pairs = rho.iter().enumerate().skip(1).take(columns - 1);
+    let pairs: f64 = pairs.map(|(k, rho)| 2.0 * (n - k as f64) * rho).sum();
+    noise / n + (1.0 - noise) * (n + pairs) / (n * n)
+}
+
+/// Root mean square of the means over so many columns side by side.
+fn spread_of_means(frames: &[Vec<(u32, f64)>], columns: usize) -> Option<f64> {
+    let runs = frames
+        .iter()
+        .flat_map(|errors| errors.chunks_exact(columns));
+    let whole = runs.filter(|run| (run[columns - 1].0 - run[0].0) as usize + 1 == columns);
+    root_mean_square(whole.map(|run| run.iter().map(|(_, e)| e).sum::<f64>() / columns as f64))
+}
+
+/// The same over so many frames, of columns that all of them have.
+fn spread_over_frames(frames: &[Vec<(u32, f64)>], count: usize) -> Option<f64> {
+    let groups = frames.chunks_exact(count).flat_map(|frames| {
+        let mut all: Vec<(u32, f64)> = frames.concat();
+        all.sort_by_key(|&(column, _)| column);
+        let of_column = all.chunk_by(|a, b| a.0 == b.0).filter(|e| e.len() == count);
+        let means = of_column.map(|e| e.iter().map(|(_, e)| e).sum::<f64>() / count as f64);
+        means.collect::<Vec<f64>>()
+    });
+    root_mean_square(groups)
+}
+
+/// `None` of fewer than two.
+fn root_mean_square(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0u32), |(sum, n), v| (sum + v * v, n + 1));
+    (count > 1).then(|| (sum / f64::from(count)).sqrt())
+}
+
+impl SheetSummary {
+    /// The result in words.
+    pub fn headline(&self) -> [String; 2] {
+        let um = |figure: Option<Figure>| {
+            figure.map_or("–".to_owned(), |f| format!("{} µm", short(f.found_um)))
+        };
+        let linearity = match (self.linearity_um, self.linearity_percent) {
+            (Some(um), Some(percent)) => format!("{} µm ({} % of it)", short(um), short(percent)),
+            _ => "–".to_owned(),
+        };
+        let middle = &self.places[self.places.len() / 2];
+        [
+            format!(
+                "At {} mm: repeatability {}, place to place {}; linearity over the range {linearity}",
+                short(middle.distance_mm),
+                um(middle.repeatability),
+                um(middle.place_to_place),
+            ),
+            "Standard deviations of heights of single points on a plane square to the beam; points without a flag."
+                .to_owned(),
+        ]
+    }
+
+    /// One row a distance.
+    pub fn table(&self) -> String {
+        let heads = [
+            "distance", "x / px", "z / px", "repeat", "stated", "place", "stated", "closed", "n_c",
+            "stated", "of 100", "stated", "of 10", "stated", "linear", "± 2u", "edge",
+        ];
+        let mut text = String::new();
+        for row in std::iter::once(heads.map(str::to_owned).to_vec()).chain(self.rows()) {
+            for cell in row {
+                text += &format!("{cell:>9}");
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// As [`Self::table`] has them: mm, then µm, but n_c.
+    pub fn rows(&self) -> impl Iterator<Item = Vec<String>> {
+        let of = |value: Option<f64>| value.map_or("–".to_owned(), short);
+        let both = move |figure: Option<Figure>| {
+            [
+                of(figure.map(|f| f.found_um)),
+                of(figure.map(|f| f.predicted_um)),
+            ]
+        };
+        self.places.iter().map(move |place| {
+            let mut row = vec![short(place.distance_mm)];
+            row.extend(place.um_per_px.map(short));
+            row.extend(both(place.repeatability));
+            row.extend(both(place.place_to_place));
+            row.push(of(place.closed_form_um));
+            row.extend([0, 1].map(|i| of(place.correlated_columns.map(|n| n[i]))));
+            row.extend(both(place.mean_of_columns));
+            row.extend(both(place.mean_of_profiles));
+            row.push(of(place.linearity_um.map(|l| l[0])));
+            row.push(of(place.linearity_um.map(|l| 2.0 * l[1])));
+            row.push(of(place.edge_10_90_um));
+            row
+        })
+    }
+
+    fn plotted(&self) -> Vec<PlottedPlace> {
+        let both = |figure: Option<Figure>| figure.map(|f| [f.found_um, f.predicted_um]);
+        let of = |place: &SheetPlace| PlottedPlace {
+            distance_mm: place.distance_mm,
+            repeatability: both(place.repeatability),
+            place_to_place: both(place.place_to_place),
+            mean_of_columns: both(place.mean_of_columns),
+            mean_of_profiles: both(place.mean_of_profiles),
+            correlated_columns: place.correlated_columns,
+            linearity: place.linearity_um,
+            column_um: place.um_per_px[0],
+            edge_um: place.edge_10_90_um,
+        };
+        self.places.iter().map(of).collect()
+    }
+}
