@@ -1,11 +1,13 @@
 //! The command line: one file a command.
 
+mod accept;
 mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
 mod complaint;
 mod dataset;
+mod emva;
 mod manual;
 mod merge;
 mod peaks;
@@ -76,6 +78,10 @@ enum Command {
     Peaks(peaks::Arguments),
     /// Compare predicted uncertainties with the scatter over many seeds
     Uncertainty(uncertainty::Arguments),
+    /// Predict the acceptance test of a sensor: probing form and size, sphere spacing, flatness, linearity
+    Accept(accept::Arguments),
+    /// Make image sets of a sensor for the tool of EMVA 1288
+    Emva(emva::Arguments),
     /// Compare Embree with hierarchies in Rust on a mesh: speed, memory, missed rays
     BenchBvh(bench_bvh::Arguments),
     /// Print the JSON Schema of the scene file, or of a sensor file
@@ -281,6 +287,8 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Wave(arguments) => wave::run(arguments, &output),
         Command::Peaks(arguments) => peaks::run(arguments, &output),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
+        Command::Accept(arguments) => accept::run(arguments, &output),
+        Command::Emva(arguments) => emva::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         Command::Completions(arguments) => manual::completions(arguments, &output),
         Command::Man(arguments) => manual::man(arguments, &output),

@@ -1,5 +1,6 @@
 //! A sensor in the words of data sheets: what it measures where, and how finely.
 
+use super::simulation::Simulation;
 use super::survey::{Fate, MeasuringRange, Survey};
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
@@ -78,6 +79,13 @@ impl SensorFigures {
         let share =
             (distance - beside[0].distance_mm) / (beside[1].distance_mm - beside[0].distance_mm);
         Some(width(&beside[0]) * (1.0 - share) + width(&beside[1]) * share)
+    }
+
+    /// Of a scene made ready; `None` as for [`Self::of`].
+    pub(crate) fn of_simulation(simulation: &Simulation) -> Option<SensorFigures> {
+        let scene = &simulation.scene;
+        let survey = Survey::of(scene, &simulation.accel, 0..scene.scan.frames);
+        SensorFigures::of(scene, &survey)
     }
 
     /// `None` if the camera sees nothing of the laser's light, wherever it falls.

@@ -64,16 +64,28 @@ impl Simulation {
         if !plan.geometry_only {
             need::require_images(scene, 1)?;
         }
-        let speckle = match (&scene.speckle, plan.speckle) {
-            (Some(model), Some(method)) => {
-                let model = SpeckleModel { method, ..*model };
-                let wider = plan.wider();
-                let patterns = ScanSpeckle::new(scene, &accel, &model, plan.speckle_slips, wider)?;
-                Some(Arc::new(patterns))
-            }
-            _ => None,
-        };
+        let speckle = patterns(scene, &accel, &plan)?;
         Ok(Simulation::with_patterns(scene, accel, plan, speckle))
+    }
+
+    /// The same by the same plan with speckle, noise and patterns of pixels of another seed.
+    pub(crate) fn with_seed(&self, seed: u64) -> Result<Simulation> {
+        let scene = Scene {
+            seed,
+            ..self.scene.clone()
+        };
+        let plan = self.plan.clone();
+        Ok(Simulation {
+            accel: self.accel.clone(),
+            calibration: self.calibration.clone(),
+            speckle: patterns(&scene, &self.accel, &plan)?,
+            clusters: self.clusters.clone(),
+            readout: readout(&scene, &plan),
+            errors: self.errors.clone(),
+            sheet: sheet(&scene, &plan),
+            scene,
+            plan,
+        })
     }
 
     /// The same done by another plan; patterns of speckle are shared where both have the
@@ -103,9 +115,6 @@ impl Simulation {
         plan: Plan,
         speckle: Option<Arc<ScanSpeckle>>,
     ) -> Simulation {
-        let mut sensor = scene.camera.sensor.clone();
-        sensor.noise = sensor.noise.filter(|_| plan.noise);
-        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
         Simulation {
             scene: scene.clone(),
             accel,
@@ -115,14 +124,9 @@ impl Simulation {
                 .unwrap_or_else(|| perfect_calibration(scene)),
             speckle,
             clusters: None,
-            readout: Readout::new(sensor, scene.laser.beam.wavelength),
+            readout: readout(scene, &plan),
             errors: error_model(scene, plan.blur),
-            sheet: scene
-                .laser
-                .fan
-                .as_ref()
-                .filter(|_| plan.geometry_only)
-                .map(sheet),
+            sheet: sheet(scene, &plan),
             plan,
         }
     }
@@ -250,6 +254,28 @@ impl Simulation {
         let (region, key) = (self.region(), self.noise(pose.frame));
         frame::take(self.views(pose), &region, &self.readout, key)
     }
+}
+
+/// Patterns of speckle, if scene and plan have them.
+fn patterns(scene: &Scene, accel: &Accel, plan: &Plan) -> Result<Option<Arc<ScanSpeckle>>> {
+    let (Some(model), Some(method)) = (&scene.speckle, plan.speckle) else {
+        return Ok(None);
+    };
+    let model = SpeckleModel { method, ..*model };
+    let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.wider())?;
+    Ok(Some(Arc::new(patterns)))
+}
+
+fn readout(scene: &Scene, plan: &Plan) -> Readout {
+    let mut sensor = scene.camera.sensor.clone();
+    sensor.noise = sensor.noise.filter(|_| plan.noise);
+    Readout::new(sensor, scene.laser.beam.wavelength, scene.seed)
+}
+
+/// `None` where profiles come from images.
+fn sheet(scene: &Scene, plan: &Plan) -> Option<Sheet> {
+    let fan = scene.laser.fan.as_ref().filter(|_| plan.geometry_only)?;
+    Some(Sheet::new(fan, &scene.camera, &camera_from_laser(scene)))
 }
 
 /// What of the part the laser lights and the camera sees along the path, in which of its

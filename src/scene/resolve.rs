@@ -1,5 +1,6 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
+use super::accept_table::AcceptTable;
 use super::data_sheet::SolvedValue;
 use super::file::{PartTable, PlanTable, SceneFile};
 use super::locate::Source;
@@ -110,6 +111,9 @@ pub struct Scene {
     /// What the measurement takes the sensor for; `None`: what it is.
     #[doc(hidden)]
     pub calibration: Option<Calibration>,
+    /// The acceptance test of the sensor, as written.
+    #[doc(hidden)]
+    pub accept: AcceptTable,
 }
 
 impl Scene {
@@ -255,6 +259,7 @@ impl Resolver<'_> {
         let speckle = self.speckle(&file, &camera, polarised)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
+        self.accept(&file.accept)?;
         let methods = self.methods(
             &file.plan,
             (file.write_frames, laser.fan.is_some()),
@@ -295,6 +300,7 @@ impl Resolver<'_> {
             },
             scan,
             calibration,
+            accept: file.accept,
         })
     }
 
