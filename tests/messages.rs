@@ -103,6 +103,35 @@ const MISTAKES: &[Case] = &[
         &["scene.toml:13: laser.power_mw: found \"ten\", expected a number"],
     ),
     case(
+        "pixels differ on a sensor without noise",
+        &[("read_noise_e = 10\n", "dsnu_e = 5\n")],
+        &["camera.dsnu_e: found 5, expected read_noise_e beside it"],
+    ),
+    case(
+        "pixels differ by more than they give",
+        &[(
+            "read_noise_e = 10\n",
+            "read_noise_e = 10\nprnu_percent = 80\n",
+        )],
+        &["camera.prnu_percent: found 80, expected a number from 0 to 25"],
+    ),
+    case(
+        "a sphere is to be measured on a cap that says no radius",
+        &[("[scan]\n", "[accept]\ncap_deg = 5\n\n[scan]\n")],
+        &["accept.cap_deg: found 5, expected a number from 20 to 80"],
+    ),
+    case(
+        "a limit is below zero",
+        &[(
+            "[scan]\n",
+            "[accept]\nlimits_um = { flatness = -1 }\n\n[scan]\n",
+        )],
+        &[
+            "accept.limits_um.flatness",
+            "found -1, expected a finite number > 0",
+        ],
+    ),
+    case(
         "frames are given beside a list of poses",
         &[("frames = 3", "frames = 3\nposes = \"path.csv\"")],
         &["scan.frames: found 3, expected no frames beside scan.poses"],
@@ -205,6 +234,106 @@ const WORTHLESS: &[Case] = &[
     ),
 ];
 
+/// What `accept` and `emva` refuse.
+const REFUSED: &[(&str, Case)] = &[
+    (
+        "accept",
+        case(
+            "a sphere does not fit the volume",
+            &[("[scan]\n", "[accept]\nsphere_mm = 30\n\n[scan]\n")],
+            &["accept.sphere_mm: found 30, expected at most"],
+        ),
+    ),
+    (
+        "accept",
+        case(
+            "a ball bar does not fit the volume",
+            &[("[scan]\n", "[accept]\nspacing_mm = 30\n\n[scan]\n")],
+            &["accept.spacing_mm: found 30, expected at most"],
+        ),
+    ),
+    (
+        "accept",
+        case(
+            "the spheres of a ball bar stand in each other",
+            &[("[scan]\n", "[accept]\nspacing_mm = 0.1\n\n[scan]\n")],
+            &["accept.spacing_mm: found 0.1, expected at least"],
+        ),
+    ),
+    (
+        "accept",
+        case(
+            "a plate does not fit the volume",
+            &[("[scan]\n", "[accept]\nplate_mm = 30\n\n[scan]\n")],
+            &["accept.plate_mm: found 30, expected at most"],
+        ),
+    ),
+    (
+        "accept",
+        case(
+            "a plate is tilted out of the range",
+            &[
+                ("resolution_px = [64, 48]", "resolution_px = [64, 16]"),
+                ("[scan]\n", "[accept]\nplate_tilt_deg = 60\n\n[scan]\n"),
+            ],
+            &["accept.plate_tilt_deg: found 60, expected at most"],
+        ),
+    ),
+    (
+        "accept",
+        case(
+            "a point laser has no profiles",
+            &[("line = {", "# line = {")],
+            &[
+                "camera.look_at_mm",
+                "a line laser whose light the camera sees",
+            ],
+        ),
+    ),
+    (
+        "emva",
+        case(
+            "a sensor without noise",
+            &[("read_noise_e = 10\n", "")],
+            &["camera.read_noise_e is missing, expected a sensor with noise"],
+        ),
+    ),
+];
+
+/// What they warn of.
+const DOUBTFUL: &[(&str, Case)] = &[
+    (
+        "accept",
+        case(
+            "few seeds and few profiles",
+            &[(
+                "[scan]\n",
+                "[accept]\nprofiles = 3\nheights = 2\nrepeats = 2\n\n[scan]\n",
+            )],
+            &["2 seeds are few", "P_F has no value for every seed"],
+        ),
+    ),
+    (
+        "emva",
+        case(
+            "noise that rounding hides",
+            &[],
+            &["Read noise is 0.20 counts: below 0.4 rounding hides it"],
+        ),
+    ),
+    (
+        "emva",
+        case(
+            "counts that are cut off at 0",
+            &[
+                ("gain_dn_per_e = 0.02", "gain_dn_per_e = 0.2"),
+                ("black_level_dn = 8", "black_level_dn = 2"),
+            ],
+            &["The black level of 2 counts is less than four times the noise"],
+        ),
+    ),
+];
+
 /// A square of 16 units and one of 0.016.
 const SQUARE: &str = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
 
@@ -280,6 +409,38 @@ fn warnings(case: &Case) -> Vec<String> {
     warnings
 }
 
+fn arguments(command: &str) -> Vec<&str> {
+    let seeds: &[&str] = match command {
+        "accept" => &["--seeds", "2"],
+        _ => &[],
+    };
+    [&[command, "scene.toml", "-o", "out"], seeds].concat()
+}
+
+/// The message of what `accept` or `emva` refuses; nothing is written.
+fn refused(command: &str, case: &Case) -> String {
+    let folder = folder_of(case);
+    let (code, stdout, stderr) = run(folder.path(), &arguments(command));
+    assert_eq!((code, stdout.as_str()), (65, ""), "{}: {stderr}", case.what);
+    assert!(!folder.path().join("out").exists(), "{}", case.what);
+    let message = stderr.trim_end().trim_start_matches("lasertrace: ");
+    assert_says(case, message);
+    message.to_owned()
+}
+
+/// The warnings of `accept` or `emva`, which write all the same.
+fn doubtful(command: &str, case: &Case) -> String {
+    let folder = folder_of(case);
+    let (code, page, stderr) = run(folder.path(), &arguments(command));
+    assert_eq!((code, stderr.as_str()), (0, ""), "{}", case.what);
+    let lines = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("warning: "));
+    let warnings = lines.collect::<Vec<_>>().join("<br>");
+    assert_says(case, &warnings);
+    warnings
+}
+
 fn row(what: &str, message: &str) -> String {
     format!("| {what} | {} |\n", message.replace('|', "\\|"))
 }
@@ -301,6 +462,22 @@ fn every_case_gives_the_message_that_the_page_of_messages_says() {
              error, exit code 65.\n\n| case | message |\n|---|---|\n";
     for case in WORTHLESS {
         page += &row(case.what, &warnings(case).join("<br>"));
+    }
+    page += "\n## Acceptance tests and image sets\n\nWhat `accept` and `emva` refuse: one line on stderr, exit code 65, and \
+             nothing is written.\n\n| command | case | message |\n|---|---|---|\n";
+    for (command, case) in REFUSED {
+        page += &row(
+            &format!("`{command}` | {}", case.what),
+            &refused(command, case),
+        );
+    }
+    page += "\nWhat they warn of, in what they print and in `accept.json` and `emva.json` (`warnings`).\n\n\
+             | command | case | message |\n|---|---|---|\n";
+    for (command, case) in DOUBTFUL {
+        page += &row(
+            &format!("`{command}` | {}", case.what),
+            &doubtful(command, case),
+        );
     }
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let kept = fs::read_to_string(root.join("docs/messages.md")).unwrap_or_default();

@@ -143,6 +143,24 @@ else
     row "$name" "$(tail -n 1 "$log" | tr '|' ' ')" passed "$met" "$command"
 fi
 
+name='the tool of EMVA 1288 on simulated image sets'
+command='lasertrace emva tests/emva.toml -o out/verify/emva; python3 tests/emva.py out/verify/emva'
+goal='QE, K, read noise, full well, DSNU and PRNU within 2 % of what was put in'
+python=$out/emva-venv/bin/python
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif ! { [ -x "$python" ] || python3 -m venv "$out/emva-venv"; } >"$out/emva-venv.txt" 2>&1; then
+    skip "$name" "$goal" 'needs Python with venv' "$command"
+elif ! "$python" -m pip install --quiet 'emva1288==1.0.2' 'numpy<2' 'scipy<1.14' >>"$out/emva-venv.txt" 2>&1; then
+    # The tool calls what later versions of numpy do not have.
+    skip "$name" "$goal" 'pip does not get emva1288 1.0.2' "$command"
+else
+    # shellcheck disable=SC2086
+    try emva-images cargo run $profile -- emva --quiet tests/emva.toml -o "$out/emva"
+    [ "$met" = no ] || try emva "$python" tests/emva.py "$out/emva"
+    row "$name" "$(paste -sd ' ' "$log")" "$goal" "$met" "$command"
+fi
+
 name='a scan in shards on two nodes of Slurm'
 command='tests/slurm.sh target/release/lasertrace'
 goal='nodes killed, the bytes of an undivided scan'

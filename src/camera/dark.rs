@@ -29,10 +29,12 @@ pub struct DarkCounts {
 }
 
 impl DarkCounts {
-    /// `None` for a sensor without read noise: then dark counts are all the same.
+    /// `None` for a sensor without read noise, whose dark counts are all the same, and for one
+    /// whose dark pixels have more than read noise.
     pub fn new(sensor: &Sensor) -> Option<DarkCounts> {
-        let sigma = sensor.noise?.read_noise_e * sensor.gain_dn_per_e;
-        if sigma <= 0.0 {
+        let noise = sensor.noise?;
+        let sigma = noise.read_noise_e * sensor.gain_dn_per_e;
+        if sigma <= 0.0 || noise.adds_to_dark() {
             return None;
         }
         let full = sensor.full_well_e * sensor.gain_dn_per_e + sensor.black_level_dn;
@@ -159,7 +161,10 @@ mod tests {
             bit_depth: 8,
             full_well_e,
             black_level_dn,
-            noise: Some(Noise { read_noise_e }),
+            noise: Some(Noise {
+                read_noise_e,
+                ..Noise::default()
+            }),
         }
     }
 
@@ -239,7 +244,7 @@ mod tests {
     #[test]
     fn no_noise_needs_no_table() {
         let mut silent = sensor(100.0, 1e4, 6.0);
-        silent.noise = Some(Noise { read_noise_e: 0.0 });
+        silent.noise = Some(Noise::default());
         assert!(DarkCounts::new(&silent).is_none());
     }
 }

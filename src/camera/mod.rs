@@ -22,7 +22,7 @@ pub use distortion::Distortion;
 pub use grain_extent::GrainExtent;
 pub use lens::Lens;
 pub use model::{CameraModel, Projector};
-pub use sensor::{Noise, Sensor};
+pub use sensor::{Noise, PixelPattern, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};
 use glam::DMat2;

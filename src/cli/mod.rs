@@ -1,11 +1,13 @@
 //! The command line: one file a command.
 
+mod accept;
 mod bench_bvh;
 mod calibrate;
 mod chart;
 mod check;
 mod complaint;
 mod dataset;
+mod emva;
 #[cfg(feature = "service")]
 mod job;
 mod manual;
@@ -87,6 +89,10 @@ enum Command {
     View(view::Arguments),
     /// Compare predicted uncertainties with the scatter over many seeds, or measure a sensor as data sheets do
     Uncertainty(uncertainty::Arguments),
+    /// Predict the acceptance test of a sensor: probing form and size, sphere spacing, flatness, linearity
+    Accept(accept::Arguments),
+    /// Make image sets of a sensor for the tool of EMVA 1288
+    Emva(emva::Arguments),
     /// Take jobs over HTTP: scenes and meshes in, files out
     #[cfg(feature = "service")]
     Serve(serve::Arguments),
@@ -331,6 +337,8 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         #[cfg(feature = "service")]
         Command::View(_) => unreachable!("it was run above"),
         Command::Uncertainty(arguments) => uncertainty::run(arguments, &output),
+        Command::Accept(arguments) => accept::run(arguments, &output),
+        Command::Emva(arguments) => emva::run(arguments, &output),
         Command::BenchBvh(arguments) => bench_bvh::run(arguments, &output),
         #[cfg(feature = "service")]
         Command::Serve(arguments) => serve::run(arguments, &output),

@@ -18,6 +18,13 @@ impl Irradiance {
         Irradiance { rows, values }
     }
 
+    /// The same on every pixel of a sensor of so many columns and rows.
+    pub fn even(resolution: UVec2, value: f32) -> Irradiance {
+        let rows = Rows::new(Pixels::all(resolution));
+        let values = vec![value; rows.total()];
+        Irradiance::new(rows, values)
+    }
+
     /// The mean of as many images of one sensor.
     pub fn mean(mut images: Vec<Irradiance>) -> Irradiance {
         if images.len() == 1 {

@@ -1,7 +1,9 @@
 //! The measurement against the CAD: point cloud, deviation, alignment, coverage. The only
 //! place where what was measured meets what is true.
 
+pub mod acceptance;
 pub mod align;
+pub mod artefact;
 pub mod cloud;
 pub mod continuity;
 pub mod coverage;

@@ -21,6 +21,8 @@ pub enum Purpose {
     Calibration = 7,
     /// Values of the samples of a data set.
     Samples = 8,
+    /// How pixels differ, in all frames.
+    FixedPattern = 9,
     /// Rays of `bench-bvh`.
     RaceRays = 16,
     /// What each box of the tree in Rust is widened by.

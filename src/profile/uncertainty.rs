@@ -1,5 +1,5 @@
 //! How surely the row of a line is known, from what data sheets tell of sensor and
-//! light: speckle, shot noise, background noise, rounding.
+//! light: speckle, shot noise, uneven pixels, background noise, rounding.
 
 use super::blurred::Blurred;
 use super::clipping::{Clipped, Clipping};
@@ -60,10 +60,11 @@ pub struct RowError {
 /// K counts an electron and s the background's noise (read noise and rounding),
 ///
 /// ```text
-/// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
+/// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + P²·Σ w_i²·G_i² + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
-/// with ρ the covariance of the light of two parts of pixels of the column
+/// with P the standard deviation of the pixels' responses (PRNU), which is the same in every frame but another at every
+/// place, as DSNU is, which s has in it; ρ the covariance of the light of two parts of pixels of the column
 /// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
 /// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
@@ -83,6 +84,7 @@ pub struct RowError {
 pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
+    prnu: f64,
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
@@ -101,6 +103,7 @@ impl ErrorModel {
         ErrorModel {
             finder,
             gain_dn_per_e,
+            prnu: 0.0,
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
@@ -126,6 +129,11 @@ impl ErrorModel {
             column_correlation(self.finder, grain, middle, sigma)
         };
         self.grain.as_ref().map_or(vec![1.0], of)
+    }
+
+    /// The same for pixels whose responses have this relative standard deviation.
+    pub fn with_prnu(self, prnu: f64) -> ErrorModel {
+        ErrorModel { prnu, ..self }
     }
 
     /// The same for light without shot noise.
@@ -233,6 +241,7 @@ impl ErrorModel {
         let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + self.noise_variance(peak, at)
+            + at.response * self.prnu.powi(2)
             + bias(self.finder, sigma).powi(2) / 3.0
     }
 }

@@ -1,4 +1,4 @@
-//! What speckle, shot noise and the background's noise do to the row of a line, anywhere on
+//! What speckle, shot noise, uneven pixels and the background's noise do to the row of a line, anywhere on
 //! the sensor.
 
 use super::PeakFinder;
@@ -52,6 +52,8 @@ pub(super) struct Variances {
     pub shot: f64,
     /// Over (s/N)².
     pub white: f64,
+    /// Over PRNU².
+    pub response: f64,
     /// Relative, of the line's light, from speckle, and of one pixel's.
     pub light: f64,
     pub pixel: f64,
@@ -235,6 +237,7 @@ struct Line {
     parts: usize,
     shot: f64,
     white: f64,
+    response: f64,
     /// Sums of products of the light of parts so far apart, as it moves the finder and as it
     /// is; those of both signs of a distance.
     moves: Vec<f64>,
@@ -248,6 +251,7 @@ impl Line {
             parts,
             shot: 0.0,
             white: 0.0,
+            response: 0.0,
             moves: Vec::new(),
             lights: Vec::new(),
         };
@@ -256,6 +260,7 @@ impl Line {
             for &(light, weight) in &pixels {
                 line.shot += weight * weight * light / 2.0;
                 line.white += weight * weight / 2.0;
+                line.response += (weight * light).powi(2) / 2.0;
             }
             // A part moves the finder as its pixel does.
             let weights = pixels.iter().flat_map(|p| std::iter::repeat_n(p.1, parts));
@@ -274,6 +279,7 @@ impl Line {
             speckle: sum(&self.moves),
             shot: self.shot,
             white: self.white,
+            response: self.response,
             light: sum(&self.lights),
             pixel,
         }
@@ -295,6 +301,7 @@ impl Variances {
         self.speckle += share * other.speckle;
         self.shot += share * other.shot;
         self.white += share * other.white;
+        self.response += share * other.response;
         self.light += share * other.light;
         self.pixel += share * other.pixel;
     }

@@ -1,5 +1,7 @@
 //! How results look: page, plots, pictures, and the forms of the cloud.
 
+pub mod accept_page;
+pub mod accept_plot;
 pub mod accuracy_chart;
 pub(crate) mod axes;
 pub mod chart;

@@ -18,7 +18,8 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
         contrast: model.coherence.contrast(),
         aperture: model.aperture,
     });
-    let model = ErrorModel::new(scene.measure.finder, shot, grain);
+    let prnu = sensor.noise.map_or(0.0, |noise| noise.prnu);
+    let model = ErrorModel::new(scene.measure.finder, shot, grain).with_prnu(prnu);
     match grain.filter(|_| blur != Blur::None) {
         None => model,
         Some(grain) => model.behind_lens(Blurred::new(

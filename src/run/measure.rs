@@ -132,9 +132,7 @@ impl Simulation {
         let of_laser = self.plan.line_half_width_px / 2.0;
         let sigma = of_laser.hypot(self.errors.spread(pixel).sqrt());
         let height = (electrons * of_laser / sigma).min(sensor.full_well_e) * sensor.gain_dn_per_e;
-        let dark = sensor
-            .noise
-            .map_or(0.0, |n| n.read_noise_e * sensor.gain_dn_per_e);
+        let dark = sensor.dark_noise_e() * sensor.gain_dn_per_e;
         Peak {
             column: point.column,
             row: point.row,

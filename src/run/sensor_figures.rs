@@ -1,5 +1,6 @@
 //! A sensor in the words of data sheets: what it measures where, and how finely.
 
+use super::simulation::Simulation;
 use super::survey::{Fate, MeasuringRange, Survey};
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
@@ -90,6 +91,13 @@ impl SensorFigures {
         Sensor::new(scene)
             .place(distance)
             .map(|place| place.um_per_px)
+    }
+
+    /// Of a scene made ready; `None` as for [`Self::of`].
+    pub(crate) fn of_simulation(simulation: &Simulation) -> Option<SensorFigures> {
+        let scene = &simulation.scene;
+        let survey = Survey::of(scene, &simulation.accel, 0..scene.scan.frames);
+        SensorFigures::of(scene, &survey)
     }
 
     /// `None` if the camera sees nothing of the laser's light, wherever it falls.

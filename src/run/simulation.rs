@@ -70,6 +70,27 @@ impl Simulation {
         ))
     }
 
+    /// The same by the same plan with speckle, noise and patterns of pixels of another seed.
+    pub(crate) fn with_seed(&self, seed: u64) -> Result<Simulation> {
+        let scene = Scene {
+            seed,
+            ..self.scene.clone()
+        };
+        let plan = self.plan.clone();
+        Ok(Simulation {
+            accel: self.accel.clone(),
+            calibration: self.calibration.clone(),
+            speckle: patterns(&scene, &self.accel, &plan)?,
+            clusters: self.clusters.clone(),
+            readout: readout(&scene, &plan),
+            errors: self.errors.clone(),
+            column_correlation: self.column_correlation.clone(),
+            sheet: sheet(&scene, &plan),
+            scene,
+            plan,
+        })
+    }
+
     /// The same done by another plan; patterns of speckle are shared where both have the
     /// same.
     pub(crate) fn otherwise(&self, plan: Plan) -> Result<Simulation> {
@@ -99,9 +120,6 @@ impl Simulation {
         speckle: Option<Arc<ScanSpeckle>>,
         errors: Arc<ErrorModel>,
     ) -> Simulation {
-        let mut sensor = scene.camera.sensor.clone();
-        sensor.noise = sensor.noise.filter(|_| plan.noise);
-        let sheet = |fan| Sheet::new(fan, &scene.camera, &camera_from_laser(scene));
         Simulation {
             scene: scene.clone(),
             accel,
@@ -111,15 +129,10 @@ impl Simulation {
                 .unwrap_or_else(|| perfect_calibration(scene)),
             speckle,
             clusters: None,
-            readout: Readout::new(sensor, scene.laser.beam.wavelength),
+            readout: readout(scene, &plan),
             errors,
             column_correlation: OnceLock::new(),
-            sheet: scene
-                .laser
-                .fan
-                .as_ref()
-                .filter(|_| plan.geometry_only)
-                .map(sheet),
+            sheet: sheet(scene, &plan),
             plan,
         }
     }
@@ -264,6 +277,18 @@ pub(super) fn patterns(
     let model = SpeckleModel { method, ..*model };
     let patterns = ScanSpeckle::new(scene, accel, &model, plan.speckle_slips, plan.wider())?;
     Ok(Some(Arc::new(patterns)))
+}
+
+fn readout(scene: &Scene, plan: &Plan) -> Readout {
+    let mut sensor = scene.camera.sensor.clone();
+    sensor.noise = sensor.noise.filter(|_| plan.noise);
+    Readout::new(sensor, scene.laser.beam.wavelength, scene.seed)
+}
+
+/// `None` where profiles come from images.
+fn sheet(scene: &Scene, plan: &Plan) -> Option<Sheet> {
+    let fan = scene.laser.fan.as_ref().filter(|_| plan.geometry_only)?;
+    Some(Sheet::new(fan, &scene.camera, &camera_from_laser(scene)))
 }
 
 /// What of the part the laser lights and the camera sees along the path, in which of its

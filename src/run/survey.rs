@@ -344,8 +344,7 @@ impl Follow<'_> {
 /// Counts above black that a line must have to be found: what noise alone hardly reaches.
 pub(crate) fn least_counts(scene: &Scene) -> f64 {
     let sensor = &scene.camera.sensor;
-    let read = sensor.noise.map_or(0.0, |noise| noise.read_noise_e);
-    let noise = (read * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
+    let noise = (sensor.dark_noise_e() * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
     let pixels = sensor.resolution.as_u64vec2().element_product();
     least_height(pixels as usize, noise)
 }

@@ -1,6 +1,7 @@
 //! The scene file as written: TOML, millimetres unless the key says otherwise.
 //! The doc comments here become the descriptions in the JSON Schema.
 
+use super::accept_table::AcceptTable;
 use super::data_sheet::DataSheet;
 use super::unit::Unit;
 use crate::accel::Backend;
@@ -51,6 +52,9 @@ pub struct SceneFile {
     /// Methods to use instead of those the program would choose.
     #[serde(default)]
     pub plan: PlanTable,
+    /// The acceptance test of the sensor.
+    #[serde(default)]
+    pub accept: AcceptTable,
 }
 
 /// How speckle patterns are read.
@@ -326,6 +330,14 @@ pub struct CameraTable {
     /// Standard deviation of the read noise in electrons. With this key counts
     /// have shot and read noise; without it they are the rounded expectation.
     pub read_noise_e: Option<f64>,
+    /// Electrons a second that come without light, with shot noise. Default: 0.
+    pub dark_current_e_per_s: Option<f64>,
+    /// Standard deviation of the pixels' responses to light, in percent of their mean (EMVA 1288 PRNU), the same in
+    /// every frame. Default: 0.
+    pub prnu_percent: Option<f64>,
+    /// Standard deviation of the pixels' dark signals in electrons (EMVA 1288 DSNU), the same in every frame.
+    /// Default: 0.
+    pub dsnu_e: Option<f64>,
 }
 
 /// What is in focus.
@@ -518,6 +530,10 @@ pub struct SensorFile {
     #[serde(rename = "camera")]
     #[schemars(with = "Option<CameraTable>")]
     _camera: Option<IgnoredAny>,
+    /// Of `accept` in a scene.
+    #[serde(rename = "accept")]
+    #[schemars(with = "Option<AcceptTable>")]
+    _accept: Option<IgnoredAny>,
 }
 
 /// JSON Schema of the scene file, as pretty-printed text.

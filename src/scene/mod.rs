@@ -1,5 +1,6 @@
 //! The scene: what is written in the file, and what that means in internal units.
 
+mod accept_table;
 mod data_sheet;
 mod file;
 mod keys;
@@ -16,6 +17,7 @@ mod surface;
 mod unit;
 mod values;
 
+pub use accept_table::{AcceptTable, LimitsTable};
 pub use data_sheet::{Origin, SolvedValue};
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
 pub use path::{Motion, ScanPath};

@@ -246,9 +246,32 @@ impl Resolver<'_> {
             self.check(holds, &key, "a finite number >= 0")?;
             self.within(value, &key, [0.0, 1e12])
         };
+        let beside_read_noise = [
+            (table.dark_current_e_per_s, "dark_current_e_per_s"),
+            (table.prnu_percent, "prnu_percent"),
+            (table.dsnu_e, "dsnu_e"),
+        ];
+        let mut further = [0.0; 3];
+        for ((value, key), further) in beside_read_noise.into_iter().zip(&mut further) {
+            let Some(value) = value else { continue };
+            let expected =
+                "read_noise_e beside it, 0 if there is none: without that key counts have no noise";
+            self.check(
+                table.read_noise_e.is_some(),
+                &format!("camera.{key}"),
+                expected,
+            )?;
+            *further = not_negative(value, key)?;
+        }
+        let [dark_current_e_per_s, prnu_percent, dsnu_e] = further;
+        let share = "a number from 0 to 25";
+        self.check(prnu_percent <= 25.0, "camera.prnu_percent", share)?;
         let noise = match table.read_noise_e {
             Some(e) => Some(Noise {
                 read_noise_e: not_negative(e, "read_noise_e")?,
+                dark_current_e_per_s,
+                prnu: prnu_percent * 1e-2,
+                dsnu_e,
             }),
             None => None,
         };

@@ -1,5 +1,6 @@
 //! From the scene file to validated values in internal units (mm, rad).
 
+use super::accept_table::AcceptTable;
 use super::data_sheet::SolvedValue;
 use super::file::{PartTable, PlanTable, SceneFile};
 use super::locate::Source;
@@ -116,6 +117,9 @@ pub struct Scene {
     /// What the measurement takes the sensor for; `None`: what it is.
     #[doc(hidden)]
     pub calibration: Option<Calibration>,
+    /// The acceptance test of the sensor, as written.
+    #[doc(hidden)]
+    pub accept: AcceptTable,
 }
 
 impl Scene {
@@ -304,6 +308,7 @@ impl Resolver<'_> {
         let filters = self.filters(&file.measure, &camera, scan.frames)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
+        self.accept(&file.accept)?;
         let methods = self.methods(
             &file.plan,
             (file.write_frames, laser.fan.is_some()),
@@ -346,6 +351,7 @@ impl Resolver<'_> {
             },
             scan,
             calibration,
+            accept: file.accept,
         })
     }
 

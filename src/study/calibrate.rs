@@ -200,7 +200,7 @@ fn field_width(nominal: &Calibration, targets: &[Rigid]) -> f64 {
 }
 
 /// Standard deviation, in each direction, of the centroid of a dot of half the
-/// highest count by shot noise, read noise and rounding to counts, pixels:
+/// highest count by shot noise, noise in the dark and rounding to counts, pixels:
 ///
 /// ```text
 /// σ² = (N·πρ⁴/4 + (σ_d² + 1/(12·K²))·πW⁴/4) / (N·πρ²)²
@@ -211,11 +211,8 @@ fn field_width(nominal: &Calibration, targets: &[Rigid]) -> f64 {
 fn dot_sigma(sensor: &Sensor) -> f64 {
     let highest = (sensor.max_count() as f64 - sensor.black_level_dn) / sensor.gain_dn_per_e;
     let level = 0.5 * highest.min(sensor.full_well_e);
-    let (shot, read) = match sensor.noise {
-        Some(noise) => (level, noise.read_noise_e.powi(2)),
-        None => (0.0, 0.0),
-    };
-    let even = read + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
+    let shot = sensor.noise.map_or(0.0, |_| level);
+    let even = sensor.dark_noise_e().powi(2) + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
     let quarter = |radius: f64| PI * radius.powi(4) / 4.0;
     let moment = shot * quarter(DOT_RADIUS_PX) + even * quarter(DOT_RADIUS_PX + RIM_PX);
     moment.sqrt() / (level * PI * DOT_RADIUS_PX.powi(2))

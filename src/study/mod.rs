@@ -1,14 +1,17 @@
-//! What is asked of the simulator: its accuracy against its speed, its peak finders, its
+//! What is asked of the simulator: what a sensor would pass, its accuracy against its speed, its peak finders, its
 //! uncertainties, its calibration, its speckle against waves.
 
+mod accept;
 #[cfg(feature = "race")]
 mod bench_bvh;
 mod calibrate;
 mod chart;
+mod emva;
 mod kept;
 pub mod lens;
 mod peak_image;
 mod peaks;
+mod sensor_scene;
 mod sheet;
 mod speckle;
 mod synthetic;
@@ -16,10 +19,14 @@ mod tiers;
 mod uncertainty;
 mod wave;
 
+pub use accept::{
+    AcceptSummary, Acceptance, Artefact, Artefacts, CHORD as SPHERE_CHORD, Placing, Volume,
+};
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use emva::{EmvaSummary, emva, emva_images};
 pub use kept::{Kept, keeps_word};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,

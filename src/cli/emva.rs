@@ -1,0 +1,47 @@
+use super::{Output, STOP};
+use crate::error::Result;
+use crate::error::printable::path;
+use crate::run::Control;
+use crate::study;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// File of a sensor, or a scene (TOML)
+    sensor: PathBuf,
+    /// Seed of noise and patterns [default: the scene's, of a sensor 1]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
+    let bar = output.progress(study::emva_images(), "images");
+    let control = Control {
+        progress: &|done| bar.set_position(done),
+        building: None,
+        stop: &STOP,
+    };
+    let Arguments {
+        sensor,
+        seed,
+        output: folder,
+    } = &arguments;
+    let summary = study::emva(sensor, *seed, folder, &control);
+    bar.finish_and_clear();
+    let summary = summary?;
+    let mut text = String::new();
+    for warning in &summary.warnings {
+        text += &format!("warning: {warning}\n");
+    }
+    text += &format!(
+        "{} images of {} × {} pixels for the tool of EMVA 1288\n{}\n",
+        summary.images,
+        summary.resolution[0],
+        summary.resolution[1],
+        path(&summary.descriptor)
+    );
+    output.result(&summary, &text)
+}

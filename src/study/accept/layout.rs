@@ -1,0 +1,348 @@
+//! Where the artefacts of an acceptance test stand in a sensor's measuring volume.
+
+use crate::math::{DMat3, DVec3, Rigid};
+use crate::run::SensorFigures;
+use crate::scene::AcceptTable;
+use serde::Serialize;
+
+/// Share of the measuring range and of the field that is taken for the volume, so that artefacts end before it does.
+const INSIDE: f64 = 0.95;
+/// What a plate is larger than what is measured of it.
+pub const PLATE_MARGIN: f64 = 1.1;
+
+/// The measuring volume as a box in the laser's frame: x along the line, y across it along the scan, z along the beam.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Volume {
+    /// Least and greatest distance from the laser along the beam, mm.
+    pub range_mm: [f64; 2],
+    /// Ends along the line, mm: those of the field at the near end.
+    pub width_mm: [f64; 2],
+    /// Along the scan, mm.
+    pub travel_mm: f64,
+}
+
+/// All artefacts and counts, resolved.
+#[derive(Debug, Clone, Serialize)]
+pub struct Artefacts {
+    /// Diameter, mm.
+    pub sphere_mm: f64,
+    /// Between two centres, mm.
+    pub spacing_mm: f64,
+    /// Side, mm.
+    pub plate_mm: f64,
+    /// Degrees.
+    pub plate_tilt_deg: f64,
+    /// Half angle of the cap that is measured of a sphere, degrees.
+    pub cap_deg: f64,
+    /// Across a sphere's cap and across a plate.
+    pub profiles: u32,
+    /// Over the measuring range.
+    pub heights: u32,
+    /// Of each height.
+    pub repeats: u32,
+    /// That flatness leaves out.
+    pub left_out_percent: f64,
+    /// The guard band, µm.
+    pub artefact_um: f64,
+}
+
+/// What stands at a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Artefact {
+    /// A sphere.
+    Sphere,
+    /// A plate that is scanned.
+    Plate,
+    /// A plate before a sensor at rest.
+    Height,
+}
+
+/// An artefact at its place.
+#[derive(Debug, Clone, Serialize)]
+pub struct Placing {
+    /// Name of the place.
+    pub place: String,
+    /// What stands there.
+    pub artefact: Artefact,
+    /// From the artefact's frame, whose z looks to the laser, to the laser's in the middle of the scan.
+    #[serde(skip)]
+    pub laser_from_artefact: Rigid,
+    /// Its middle in the laser's frame, mm.
+    pub middle_mm: [f64; 3],
+    /// Frames of its scan.
+    pub frames: u32,
+    /// From one to the next along y, mm.
+    pub step_mm: f64,
+}
+
+/// A value that does not fit the volume: key in `[accept]`, what was found, what was expected.
+pub type Misfit = (&'static str, f64, String);
+
+impl Volume {
+    /// That in which the sensor measures. `None`: it is empty.
+    pub fn of(figures: &SensorFigures, table: &AcceptTable) -> Option<Volume> {
+        let [near, far] = figures.ends();
+        let cut = (1.0 - INSIDE) / 2.0 * (far - near);
+        let range_mm = [near + cut, far - cut];
+        let fields = figures.places.iter().map(|place| place.field_mm);
+        let [left, right] = fields.reduce(|a, b| [a[0].max(b[0]), a[1].min(b[1])])?;
+        let (middle, half) = ((left + right) / 2.0, INSIDE * (right - left) / 2.0);
+        if !(half > 0.0 && far > near) {
+            return None;
+        }
+        Some(Volume {
+            range_mm,
+            width_mm: [middle - half, middle + half],
+            travel_mm: table.travel_mm.unwrap_or(2.0 * half),
+        })
+    }
+
+    fn depth(&self) -> f64 {
+        self.range_mm[1] - self.range_mm[0]
+    }
+
+    fn width(&self) -> f64 {
+        self.width_mm[1] - self.width_mm[0]
+    }
+
+    /// Middle and half sides of the box of the centres of spheres: a sphere's cap stays in the volume.
+    fn centers(&self, sphere_mm: f64, cap: f64) -> [DVec3; 2] {
+        let radius = sphere_mm / 2.0;
+        let [near, far] = self.range_mm;
+        let across = radius * cap.sin();
+        let (first, last) = (near + radius, far + radius * cap.cos());
+        let middle = DVec3::new(
+            (self.width_mm[0] + self.width_mm[1]) / 2.0,
+            0.0,
+            (first + last) / 2.0,
+        );
+        let half = DVec3::new(
+            self.width() / 2.0 - across,
+            self.travel_mm / 2.0 - across,
+            (last - first) / 2.0,
+        );
+        [middle, half]
+    }
+}
+
+/// Directions of the seven ball bars, in half sides of the volume, and where their middles are along the beam: alone
+/// across it near and far, along the scan, and on diagonals.
+const BARS: [(&str, [f64; 3], f64); 7] = [
+    ("across, near", [1.0, 0.0, 0.0], -1.0),
+    ("across, far", [1.0, 0.0, 0.0], 1.0),
+    ("along the scan", [0.0, 1.0, 0.0], 0.0),
+    ("level diagonal", [1.0, 1.0, 0.0], 0.0),
+    ("rising across", [1.0, 0.0, -1.0], 0.0),
+    ("falling across", [1.0, 0.0, 1.0], 0.0),
+    ("space diagonal", [1.0, 1.0, 1.0], 0.0),
+];
+
+impl Artefacts {
+    /// Errors: what does not fit the volume.
+    pub fn of(volume: &Volume, table: &AcceptTable) -> Result<Artefacts, Misfit> {
+        let cap_deg = table.cap_deg.unwrap_or(45.0);
+        let cap = cap_deg.to_radians();
+        let (depth, width) = (volume.depth(), volume.width());
+        let across = width.min(volume.travel_mm);
+        let diagonal = DVec3::new(width, volume.travel_mm, depth).length();
+        let fits = |key, found: f64, most: f64, why: &str| match found <= most * (1.0 + 1e-9) {
+            true => Ok(found),
+            false => Err((key, found, format!("at most {most:.4}, {why}"))),
+        };
+        let of_volume = format!(
+            "as the measuring volume is {width:.4} mm wide, {:.4} mm long and {depth:.4} mm deep",
+            volume.travel_mm
+        );
+        let most_sphere = (2.0 * depth).min(across / 2.0);
+        let sphere_mm = table
+            .sphere_mm
+            .unwrap_or((0.15 * diagonal).min(most_sphere / 2.0));
+        fits("accept.sphere_mm", sphere_mm, most_sphere, &of_volume)?;
+        let [_, half] = volume.centers(sphere_mm, cap);
+        let most_spacing = 2.0 * half.x.min(half.y);
+        let spacing_mm = table.spacing_mm.unwrap_or(0.9 * most_spacing);
+        let of_spheres = format!("{of_volume} and the spheres have {sphere_mm:.4} mm");
+        fits("accept.spacing_mm", spacing_mm, most_spacing, &of_spheres)?;
+        if spacing_mm < sphere_mm {
+            let expected = format!("at least {sphere_mm:.4}, the diameter of the two spheres");
+            return Err(("accept.spacing_mm", spacing_mm, expected));
+        }
+        let plate_mm = table.plate_mm.unwrap_or(0.8 * across);
+        fits("accept.plate_mm", plate_mm, across, &of_volume)?;
+        let most_tilt = (0.9 * depth / plate_mm).min(1.0).asin().to_degrees();
+        let plate_tilt_deg = table.plate_tilt_deg.unwrap_or(most_tilt.min(20.0));
+        let of_plate = format!("{of_volume} and the plate has {plate_mm:.4} mm");
+        fits(
+            "accept.plate_tilt_deg",
+            plate_tilt_deg,
+            most_tilt,
+            &of_plate,
+        )?;
+        Ok(Artefacts {
+            sphere_mm,
+            spacing_mm,
+            plate_mm,
+            plate_tilt_deg,
+            cap_deg,
+            profiles: table.profiles.unwrap_or(25),
+            heights: table.heights.unwrap_or(11),
+            repeats: table.repeats.unwrap_or(10),
+            left_out_percent: table.left_out_percent.unwrap_or(0.3),
+            artefact_um: table.artefact_um.unwrap_or(1.0),
+        })
+    }
+
+    /// Half angle of the cap, rad.
+    pub fn cap(&self) -> f64 {
+        self.cap_deg.to_radians()
+    }
+
+    /// Fourteen spheres, two and two of a ball bar; five plates; and the heights.
+    pub fn placings(&self, volume: &Volume) -> Vec<Placing> {
+        let [near, far] = volume.range_mm;
+        let depth = volume.depth();
+        let center = DVec3::X * ((volume.width_mm[0] + volume.width_mm[1]) / 2.0);
+        // What looks to the laser: half a turn about the line.
+        let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        let mut placings = Vec::new();
+        let mut place =
+            |place: String, artefact, middle: DVec3, turn: DMat3, along: f64, frames| {
+                placings.push(Placing {
+                    place,
+                    artefact,
+                    laser_from_artefact: Rigid {
+                        rotation: facing * turn,
+                        translation: middle,
+                    },
+                    middle_mm: middle.to_array(),
+                    frames,
+                    step_mm: along / f64::from((frames - 1).max(1)),
+                });
+            };
+        let level = DMat3::IDENTITY;
+        let [middle, half] = volume.centers(self.sphere_mm, self.cap());
+        let cap_mm = self.sphere_mm * self.cap().sin();
+        for (name, direction, along_beam) in BARS {
+            let arm = (DVec3::from(direction) * half).normalize() * self.spacing_mm / 2.0;
+            let middle = middle + DVec3::Z * along_beam * half.z;
+            for (end, sign) in [("first", -1.0), ("second", 1.0)] {
+                let name = format!("{name}, {end}");
+                let at = middle + sign * arm;
+                place(name, Artefact::Sphere, at, level, cap_mm, self.profiles);
+            }
+        }
+        let tilt = self.plate_tilt_deg.to_radians();
+        let drop = depth / 2.0;
+        let middle = center + DVec3::Z * (near + far) / 2.0;
+        for (name, along_beam, turn) in [
+            ("near", -1.0, level),
+            ("middle", 0.0, level),
+            ("far", 1.0, level),
+            ("tilted across", 0.0, DMat3::from_rotation_y(tilt)),
+            ("tilted along the scan", 0.0, DMat3::from_rotation_x(tilt)),
+        ] {
+            let at = middle + DVec3::Z * along_beam * drop;
+            // Not beyond what is measured of a tilted plate.
+            let along = self.plate_mm * (turn * DVec3::Y).y;
+            let name = name.to_owned();
+            place(name, Artefact::Plate, at, turn, along, self.profiles);
+        }
+        for i in 0..self.heights {
+            let distance = near + depth * f64::from(i) / f64::from(self.heights - 1);
+            let name = format!("{:.4} mm", distance);
+            let at = center + DVec3::Z * distance;
+            place(name, Artefact::Height, at, level, 0.0, 1);
+        }
+        placings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn volume() -> Volume {
+        Volume {
+            range_mm: [160.0, 250.0],
+            width_mm: [-40.0, 42.0],
+            travel_mm: 80.0,
+        }
+    }
+
+    /// Caps of spheres, plates and heights lie in the volume, and the spheres of a bar stand as far apart as it says.
+    #[test]
+    fn artefacts_lie_in_the_volume() {
+        let volume = volume();
+        let artefacts = Artefacts::of(&volume, &AcceptTable::default()).unwrap();
+        let placings = artefacts.placings(&volume);
+        assert_eq!(placings.len(), 14 + 5 + 11);
+        let inside = |p: DVec3| {
+            let slack = 1e-9;
+            assert!(p.x >= -40.0 - slack && p.x <= 42.0 + slack, "{p}");
+            assert!(p.y.abs() <= 40.0 + slack, "{p}");
+            assert!(p.z >= 160.0 - slack && p.z <= 250.0 + slack, "{p}");
+        };
+        for placing in &placings {
+            let pose = &placing.laser_from_artefact;
+            match placing.artefact {
+                Artefact::Sphere => {
+                    let radius = artefacts.sphere_mm / 2.0;
+                    for turn in 0..8 {
+                        let turn = f64::from(turn) * PI / 4.0;
+                        let (sin, cos) = artefacts.cap().sin_cos();
+                        let rim = DVec3::new(sin * turn.cos(), sin * turn.sin(), cos);
+                        inside(pose.point(rim * radius));
+                    }
+                    inside(pose.point(DVec3::Z * radius));
+                }
+                _ => {
+                    let half = artefacts.plate_mm / 2.0;
+                    for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
+                        inside(pose.point(DVec3::new(x * half, y * half, 0.0)));
+                    }
+                }
+            }
+        }
+        for pair in placings[..14].chunks(2) {
+            let [a, b] = [0, 1].map(|i| DVec3::from(pair[i].middle_mm));
+            assert!((a.distance(b) - artefacts.spacing_mm).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let refused = |table: AcceptTable| Artefacts::of(&volume(), &table).unwrap_err();
+        let table = AcceptTable::default;
+        let (key, ..) = refused(AcceptTable {
+            sphere_mm: Some(60.0),
+            ..table()
+        });
+        assert_eq!(key, "accept.sphere_mm");
+        for spacing in [5.0, 79.0] {
+            let (key, ..) = refused(AcceptTable {
+                spacing_mm: Some(spacing),
+                ..table()
+            });
+            assert_eq!(key, "accept.spacing_mm");
+        }
+        let (key, ..) = refused(AcceptTable {
+            plate_mm: Some(81.0),
+            ..table()
+        });
+        assert_eq!(key, "accept.plate_mm");
+        let shallow = Volume {
+            range_mm: [100.0, 110.0],
+            ..volume()
+        };
+        let tilted = AcceptTable {
+            plate_tilt_deg: Some(30.0),
+            ..table()
+        };
+        assert_eq!(
+            Artefacts::of(&shallow, &tilted).unwrap_err().0,
+            "accept.plate_tilt_deg"
+        );
+    }
+}

@@ -1,0 +1,522 @@
+//! The acceptance test of a sensor as a prediction: spheres, ball bars and plates over the measuring volume, measured
+//! in simulated scans with many seeds.
+
+mod layout;
+
+pub use layout::{Artefact, Artefacts, Placing, Volume};
+
+use super::sensor_scene::SensorScene;
+use crate::error::Result;
+use crate::inspect::acceptance::{Characteristic, Named};
+use crate::inspect::artefact::{Sphere, plane_residuals, shell};
+use crate::inspect::cloud::CloudPoint;
+use crate::math::{DVec3, Rigid};
+use crate::report::accept_page::AcceptPage;
+use crate::report::accept_plot::{self, Placed};
+use crate::run::simulation::Simulation;
+use crate::run::{Control, Coverage, SensorFigures, files, ready};
+use crate::scene::{LimitsTable, Motion, Moves, ScanPath, Scene};
+use layout::PLATE_MARGIN;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Chord of a sphere's triangles over its radius: the mesh lies so far within the sphere at most.
+pub const CHORD: f64 = 2e-5;
+/// Seeds from which on the interval of 95 % does not end with the outermost values.
+pub const ENOUGH_SEEDS: u64 = 50;
+/// Points below which a sphere or a plate is not taken for measured.
+const LEAST_POINTS: usize = 25;
+
+/// An acceptance test laid out for a sensor, ready to run.
+pub struct Acceptance {
+    /// The sensor's file, or a scene.
+    pub sensor: PathBuf,
+    /// Where it measures.
+    pub volume: Volume,
+    /// What it measures.
+    pub artefacts: Artefacts,
+    /// Each artefact at each place: spheres, two and two of a bar; plates; heights.
+    pub placings: Vec<Placing>,
+    /// As the file has them.
+    pub limits: LimitsTable,
+    sphere: Part,
+    plate: Part,
+}
+
+/// What is placed, before the sensor.
+struct Part {
+    /// Its exposure may be left to the light of each place.
+    scene: Scene,
+    simulation: Simulation,
+}
+
+/// `accept.json`.
+#[derive(Debug, Serialize)]
+pub struct AcceptSummary {
+    /// The sensor's file, or a scene.
+    pub sensor: PathBuf,
+    /// What this is and is not.
+    pub nature: &'static str,
+    /// How characteristics are decided.
+    pub rule: String,
+    /// Each draws speckle, noise and patterns of pixels anew.
+    pub seeds: u64,
+    /// The first of them.
+    pub first_seed: u64,
+    /// Where it measures.
+    pub volume: Volume,
+    /// What it measures.
+    pub artefacts: Artefacts,
+    /// In the order of the results.
+    pub placings: Vec<Placing>,
+    /// What was found.
+    pub characteristics: Vec<Characteristic>,
+    /// What makes less of the results; empty for a good test.
+    pub warnings: Vec<String>,
+    /// The page.
+    pub report: PathBuf,
+}
+
+/// What a test says of itself.
+const NATURE: &str =
+    "A prediction from the sensor's description, not a test of a sensor, and no certificate.";
+
+/// What one seed gives at one place, mm.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Measured {
+    /// Of a sphere, laser's frame.
+    center: Option<DVec3>,
+    size: Option<f64>,
+    form: Option<f64>,
+    form_d95: Option<f64>,
+    flatness: Option<f64>,
+    linearity: Option<f64>,
+    repeatability: Option<f64>,
+}
+
+impl Acceptance {
+    /// Lays a test out for the sensor of a file, or of a scene with its surface, calibration and speckle.
+    ///
+    /// # Errors
+    /// A file that is neither; artefacts that do not fit the measuring volume; a camera that sees nothing of the laser's light.
+    pub fn of(sensor: &Path, seed: Option<u64>, control: &Control) -> Result<Acceptance> {
+        Acceptance::with(sensor, seed, control, |_| {})
+    }
+
+    /// The same of a sensor that `change` changes.
+    pub fn with(
+        sensor: &Path,
+        seed: Option<u64>,
+        control: &Control,
+        change: impl Fn(&mut Scene),
+    ) -> Result<Acceptance> {
+        let base = SensorScene::read(sensor)?;
+        let made = |shape, numbers: Table| -> Result<Part> {
+            let mut scene = base.with_part(shape, Value::Table(numbers))?;
+            scene.seed = seed.unwrap_or(scene.seed);
+            change(&mut scene);
+            let simulation = ready::simulation(&scene, Coverage::Footprint, control)?;
+            Ok(Part { scene, simulation })
+        };
+        let square = |side: f64| {
+            Table::from_iter([(
+                "size_mm".to_owned(),
+                Value::Array(vec![Value::Float(side); 2]),
+            )])
+        };
+        // Any part shows what the sensor sees of its light.
+        let bare = made("plane", square(1.0))?;
+        let table = bare.scene.accept.clone();
+        let volume = SensorFigures::of_simulation(&bare.simulation)
+            .and_then(|figures| Volume::of(&figures, &table));
+        let volume = volume.ok_or_else(|| {
+            let expected = "a line laser whose light the camera sees over some range: look at the sensor with check";
+            base.wrong("camera.look_at_mm", "one that sees none", expected)
+        })?;
+        let artefacts = Artefacts::of(&volume, &table)
+            .map_err(|(key, found, expected)| base.wrong(key, format!("{found}"), expected))?;
+        let radius = artefacts.sphere_mm / 2.0;
+        let of_sphere = Table::from_iter([
+            ("radius_mm".to_owned(), Value::Float(radius)),
+            ("chord_um".to_owned(), Value::Float(radius * CHORD * 1e3)),
+        ]);
+        Ok(Acceptance {
+            sensor: sensor.to_owned(),
+            placings: artefacts.placings(&volume),
+            limits: table.limits_um,
+            sphere: made("sphere", of_sphere)?,
+            plate: made("plane", square(artefacts.plate_mm * PLATE_MARGIN))?,
+            volume,
+            artefacts,
+        })
+    }
+
+    /// Steps of a run with so many seeds.
+    pub fn steps(&self, seeds: u64) -> u64 {
+        seeds * self.placings.len() as u64
+    }
+
+    /// Runs the test with `seeds` seeds from the sensor's own on, and writes `accept.json` and `report.html`.
+    pub fn run(&self, seeds: u64, out: &Path, control: &Control) -> Result<AcceptSummary> {
+        files::create_folder(out)?;
+        let characteristics = self.characteristics(seeds, control)?;
+        let summary = AcceptSummary {
+            sensor: self.sensor.clone(),
+            nature: NATURE,
+            rule: self.rule(),
+            seeds,
+            first_seed: self.plate.scene.seed,
+            volume: self.volume,
+            artefacts: self.artefacts.clone(),
+            placings: self.placings.clone(),
+            warnings: self.warnings(seeds, &characteristics),
+            characteristics,
+            report: out.join("report.html"),
+        };
+        let page = self.page(&summary).html();
+        files::write_bytes(&summary.report, page.as_bytes())?;
+        files::write_json(&out.join("accept.json"), &summary)?;
+        Ok(summary)
+    }
+
+    /// What the test finds, over the seeds.
+    pub fn characteristics(&self, seeds: u64, control: &Control) -> Result<Vec<Characteristic>> {
+        let first = self.plate.scene.seed;
+        let mut by_place = Vec::new();
+        for (number, placing) in self.placings.iter().enumerate() {
+            let placed = self.placed(placing)?;
+            let mut by_seed = Vec::new();
+            for k in 0..seeds {
+                control.check()?;
+                let simulation = placed.with_seed(first.wrapping_add(k))?;
+                by_seed.push(self.measure(placing, &simulation));
+                (control.progress)(number as u64 * seeds + k + 1);
+            }
+            by_place.push(by_seed);
+        }
+        Ok(self.of_values(&by_place))
+    }
+
+    /// The artefact at its place, with its scan.
+    fn placed(&self, placing: &Placing) -> Result<Simulation> {
+        let of_kind = match placing.artefact {
+            Artefact::Sphere => &self.sphere,
+            Artefact::Plate | Artefact::Height => &self.plate,
+        };
+        let base = &of_kind.scene;
+        let along = base.head_from_laser.rotation.y_axis;
+        let [_, middle, _] = placing.middle_mm;
+        let half = 0.5 * placing.step_mm * f64::from(placing.frames - 1);
+        let step = along * placing.step_mm;
+        let mut scene = base.clone();
+        scene.part_at_rest = base.head_from_laser * placing.laser_from_artefact;
+        scene.scan = ScanPath {
+            frames: placing.frames,
+            moves: Moves::Head,
+            motion: Motion::Linear { step },
+            start: along * (middle - half),
+            ..base.scan.clone()
+        };
+        of_kind.simulation.of_same_part(&scene)
+    }
+
+    fn measure(&self, placing: &Placing, simulation: &Simulation) -> Measured {
+        match placing.artefact {
+            Artefact::Sphere => self.sphere(placing, simulation),
+            Artefact::Plate => Measured {
+                flatness: self.flatness(simulation),
+                ..Measured::default()
+            },
+            Artefact::Height => self.height(simulation),
+        }
+    }
+
+    fn sphere(&self, placing: &Placing, simulation: &Simulation) -> Measured {
+        let (radius, cap) = (self.artefacts.sphere_mm / 2.0, self.artefacts.cap());
+        let least = (1.05 * cap).min(1.5).cos();
+        let mut points = valid_points(simulation);
+        points.retain(|p| p.z >= least * p.length());
+        let fitted = Sphere::fit(&points).filter(|_| points.len() >= LEAST_POINTS);
+        let Some(sphere) = fitted else {
+            return Measured::default();
+        };
+        let representative = sphere.representative(&points, DVec3::Z, cap);
+        let representative: Option<Vec<DVec3>> = representative.into_iter().collect();
+        let residuals = |sphere: &Sphere, points: &[DVec3]| -> Vec<f64> {
+            points.iter().map(|&p| sphere.residual(p)).collect()
+        };
+        let of_25 = representative.and_then(|points| {
+            let sphere = Sphere::fit(&points)?;
+            shell(residuals(&sphere, &points), 1.0)
+        });
+        Measured {
+            center: Some(placing.laser_from_artefact.point(sphere.center)),
+            size: Some(2.0 * (sphere.radius - radius)),
+            form: of_25,
+            form_d95: shell(residuals(&sphere, &points), 0.95),
+            ..Measured::default()
+        }
+    }
+
+    fn flatness(&self, simulation: &Simulation) -> Option<f64> {
+        let mut points = valid_points(simulation);
+        points.retain(|p| self.on_plate(p));
+        if points.len() < LEAST_POINTS {
+            return None;
+        }
+        let share = 1.0 - self.artefacts.left_out_percent / 100.0;
+        shell(plane_residuals(&points)?, share)
+    }
+
+    /// Along the scan its ends are those of the path.
+    fn on_plate(&self, point: &DVec3) -> bool {
+        point.x.abs() <= self.artefacts.plate_mm / 2.0
+    }
+
+    /// A profile of a level plate, taken again and again while nothing moves.
+    fn height(&self, simulation: &Simulation) -> Measured {
+        let light = simulation.irradiance(0);
+        let repeats: Vec<BTreeMap<u32, f64>> = (0..self.artefacts.repeats)
+            .into_par_iter()
+            .map(|repeat| {
+                let (_, points) = simulation.measure(0, &simulation.counts(repeat, &light));
+                let valid = points
+                    .iter()
+                    .filter(|p| p.is_valid() && self.on_plate(&p.position));
+                valid.map(|p| (p.column, p.position.z)).collect()
+            })
+            .collect();
+        let heights = || repeats[0].values();
+        if heights().len() < LEAST_POINTS {
+            return Measured::default();
+        }
+        let n = repeats.len() as f64;
+        let variances = repeats[0].keys().filter_map(|column| {
+            let of_column = repeats.iter().map(|profile| profile.get(column).copied());
+            let of_column: Vec<f64> = of_column.collect::<Option<_>>()?;
+            let mean = of_column.iter().sum::<f64>() / n;
+            Some(of_column.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0))
+        });
+        let variances: Vec<f64> = variances.collect();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        Measured {
+            linearity: Some(heights().sum::<f64>() / heights().len() as f64),
+            repeatability: (!variances.is_empty()).then(|| mean(&variances).sqrt()),
+            ..Measured::default()
+        }
+    }
+
+    /// From what each place gave for each seed.
+    fn of_values(&self, by_place: &[Vec<Measured>]) -> Vec<Characteristic> {
+        let limits = &self.limits;
+        let range = self.volume.range_mm;
+        let assumed = range[1] - range[0];
+        let named = |name, symbol, limit_um| Named {
+            name,
+            symbol,
+            limit_um,
+            assumed_um: assumed,
+            guard_um: self.artefacts.artefact_um,
+        };
+        let of = |named: Named, artefact, value: &dyn Fn(&Measured) -> Option<f64>| {
+            let places = self.placings.iter().zip(by_place);
+            let places = places.filter(|(placing, _)| placing.artefact == artefact);
+            let values = places.map(|(placing, by_seed)| {
+                let values = by_seed.iter().map(value).collect();
+                (placing.place.clone(), values)
+            });
+            Characteristic::of(named, values.collect())
+        };
+        let spheres = self.placings.iter().zip(by_place);
+        let spheres = spheres.filter(|(placing, _)| placing.artefact == Artefact::Sphere);
+        let spheres: Vec<_> = spheres.collect();
+        let spacings = spheres.chunks(2).map(|bar| {
+            let [(a, first), (_, second)] = [bar[0], bar[1]];
+            let spacing = |(a, b): (&Measured, &Measured)| {
+                Some(a.center?.distance(b.center?) - self.artefacts.spacing_mm)
+            };
+            let name = a.place.trim_end_matches(", first").to_owned();
+            (name, first.iter().zip(second).map(spacing).collect())
+        });
+        let form = named("probing form, 25 points", "P_F", limits.probing_form);
+        let name = "probing form, 95 % of all points";
+        let form_d95 = named(name, "P_F D95%", limits.probing_form_d95);
+        let size = named("probing size", "P_S", limits.probing_size);
+        let spacing = named("sphere spacing", "SD", limits.sphere_spacing);
+        let flatness = named("flatness", "F", limits.flatness);
+        let linearity = named("indicated minus true height", "Linearity", limits.linearity);
+        let name = "standard deviation of a height";
+        let repeatability = Named {
+            assumed_um: assumed / 10.0,
+            // No artefact's value is in it.
+            guard_um: 0.0,
+            ..named(name, "Z repeatability", limits.z_repeatability)
+        };
+        vec![
+            of(form, Artefact::Sphere, &|m| m.form),
+            of(form_d95, Artefact::Sphere, &|m| m.form_d95),
+            of(size, Artefact::Sphere, &|m| m.size),
+            Characteristic::of(spacing, spacings.collect()),
+            of(flatness, Artefact::Plate, &|m| m.flatness),
+            of(linearity, Artefact::Height, &|m| m.linearity),
+            of(repeatability, Artefact::Height, &|m| m.repeatability),
+        ]
+    }
+
+    fn rule(&self) -> String {
+        format!(
+            "ISO 14253-1: the largest magnitude over all places, in the interval of 95 % of the seeds, conforms if its upper end \
+             and {} µm, the expanded uncertainty of the artefacts, are within the limit; it does not if its lower end less that is \
+             beyond; else it is undecided. Repeatability has no guard band.",
+            self.artefacts.artefact_um
+        )
+    }
+
+    fn warnings(&self, seeds: u64, characteristics: &[Characteristic]) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if seeds < ENOUGH_SEEDS {
+            warnings.push(format!(
+                "{seeds} seeds are few: the interval of 95 % ends with the outermost of them. Take {ENOUGH_SEEDS} or more."
+            ));
+        }
+        for characteristic in characteristics {
+            let short = characteristic
+                .places
+                .iter()
+                .filter(|place| place.seeds < seeds as usize);
+            let short: Vec<&str> = short.map(|place| place.place.as_str()).collect();
+            if let Some(first) = short.first() {
+                warnings.push(format!(
+                    "{} has no value for every seed at {} of {} places, as at \"{first}\": too few valid points, or of 25 \
+                     directions some without any. Take more profiles, a smaller cap_deg or a larger artefact, or look at the light with check.",
+                    characteristic.symbol,
+                    short.len(),
+                    characteristic.places.len(),
+                ));
+            }
+        }
+        warnings
+    }
+
+    fn page<'a>(&self, summary: &'a AcceptSummary) -> AcceptPage<'a> {
+        let AcceptSummary { volume, .. } = summary;
+        let mut facts = vec![
+            ("sensor", self.sensor.display().to_string()),
+            (
+                "seeds",
+                format!("{}, from {} on", summary.seeds, summary.first_seed),
+            ),
+        ];
+        let [near, far] = volume.range_mm;
+        let [left, right] = volume.width_mm;
+        let a = &self.artefacts;
+        facts.extend([
+            (
+                "measuring volume",
+                format!(
+                    "{:.4} × {:.4} × {:.4} mm",
+                    right - left,
+                    volume.travel_mm,
+                    far - near
+                ),
+            ),
+            (
+                "spheres",
+                format!("{:.4} mm, cap of {}°", a.sphere_mm, a.cap_deg),
+            ),
+            ("ball bar", format!("{:.4} mm", a.spacing_mm)),
+            (
+                "plate",
+                format!("{:.4} mm, tilted by {:.4}°", a.plate_mm, a.plate_tilt_deg),
+            ),
+            (
+                "profiles of a sphere and of a plate",
+                a.profiles.to_string(),
+            ),
+            (
+                "heights",
+                format!("{}, {} times each", a.heights, a.repeats),
+            ),
+        ]);
+        AcceptPage {
+            nature: summary.nature,
+            rule: &summary.rule,
+            facts,
+            warnings: &summary.warnings,
+            positions: self.drawing(),
+            characteristics: &summary.characteristics,
+        }
+    }
+
+    fn drawing(&self) -> String {
+        let marks = self.placings.iter().map(|placing| {
+            let half = match placing.artefact {
+                Artefact::Sphere => self.artefacts.sphere_mm / 2.0,
+                _ => self.artefacts.plate_mm / 2.0,
+            };
+            let pose: &Rigid = &placing.laser_from_artefact;
+            Placed {
+                is_sphere: placing.artefact == Artefact::Sphere,
+                is_level: placing.artefact == Artefact::Height,
+                middle: pose.translation,
+                half,
+                ends: [DVec3::X, DVec3::Y].map(|axis| pose.rotation * axis * half),
+            }
+        });
+        let volume = &self.volume;
+        let bounds = [
+            volume.width_mm,
+            [-volume.travel_mm / 2.0, volume.travel_mm / 2.0],
+            volume.range_mm,
+        ];
+        accept_plot::positions(&marks.collect::<Vec<_>>(), bounds)
+    }
+}
+
+/// Valid points of all frames, in the artefact's frame.
+fn valid_points(simulation: &Simulation) -> Vec<DVec3> {
+    let frames = 0..simulation.scene.scan.frames;
+    let taken = frames
+        .clone()
+        .into_par_iter()
+        .map(|frame| simulation.take(frame).2);
+    let mut points: Vec<CloudPoint> = taken.collect::<Vec<_>>().concat();
+    simulation.compare_frames(frames, &mut points);
+    let valid = points.iter().filter(|point| point.is_valid());
+    valid.map(|point| point.position).collect()
+}
+
+impl AcceptSummary {
+    /// What was found, a line a characteristic.
+    pub fn text(&self) -> String {
+        let mut text = format!("{}\n", self.nature);
+        for warning in &self.warnings {
+            text += &format!("warning: {warning}\n");
+        }
+        text += &format!(
+            "{:<18} {:>12} {:>21} {:>10}\n",
+            "", "mean, µm", "95 % of tests, µm", "limit, µm"
+        );
+        for c in &self.characteristics {
+            let found = match &c.largest {
+                Some(s) => format!("{:>12.3} {:>10.3} {:>10.3}", s.mean_um, s.low_um, s.high_um),
+                None => format!("{:>12} {:>10} {:>10}", "–", "–", "–"),
+            };
+            let assumed = if c.limit_assumed {
+                " (limit assumed)"
+            } else {
+                ""
+            };
+            text += &format!(
+                "{:<18} {found} {:>10.3}  {}{assumed}\n",
+                c.symbol,
+                c.limit_um,
+                c.decision.words()
+            );
+        }
+        text
+    }
+}

@@ -1,0 +1,125 @@
+//! A sensor alone, from its own file or out of a scene, before parts that are made for it.
+
+use crate::error::{Error, InputError, Place, Result};
+use crate::scene::Scene;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Keys of `[part]` that say what and where it is, not how it scatters.
+const SHAPE: [&str; 8] = [
+    "mesh",
+    "plane",
+    "sphere",
+    "cylinder",
+    "step_block",
+    "copies",
+    "position_mm",
+    "rotation_deg",
+];
+/// Keys of `[scan]` that say how the path goes, not how it is exposed.
+const PATH: [&str; 7] = [
+    "frames",
+    "moves",
+    "step_mm",
+    "direction",
+    "start_mm",
+    "rotary",
+    "poses",
+];
+
+/// A sensor's file, or a scene whose sensor, surface and measurement are meant.
+pub struct SensorScene {
+    path: PathBuf,
+    /// A scene but for its part's shape and its path.
+    table: Table,
+}
+
+impl SensorScene {
+    /// Errors: a file that is neither, at the place of the mistake.
+    pub fn read(path: &Path) -> Result<SensorScene> {
+        let described = std::fs::read_to_string(path).ok();
+        let table = described.and_then(|text| text.parse::<Table>().ok());
+        let is_sensor = |table: &Table| !table.contains_key("part") && !table.contains_key("scan");
+        let table = match table {
+            Some(table) if !is_sensor(&table) => {
+                // Its mistakes have their lines in the file.
+                Scene::load(path)?;
+                scene_without(table)
+            }
+            Some(_) => of_sensor(path)?,
+            // No TOML: this says what is wrong with it.
+            None => {
+                Scene::load(path)?;
+                Table::new()
+            }
+        };
+        Ok(SensorScene {
+            path: path.to_owned(),
+            table,
+        })
+    }
+
+    /// A scene of one frame, the head in the world's frame, of a part of this shape.
+    pub fn with_part(&self, shape: &str, value: Value) -> Result<Scene> {
+        let mut table = self.table.clone();
+        if let Some(Value::Table(part)) = table.get_mut("part") {
+            part.insert(shape.to_owned(), value);
+        }
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let text = toml::to_string(&table).expect("what was TOML is TOML");
+        let mut scene = Scene::parse(&text, folder)?;
+        scene.path = self.path.clone();
+        Ok(scene)
+    }
+
+    /// A mistake of the file at a key. `found` is empty: it is missing.
+    pub fn wrong(&self, key: &str, found: impl Into<String>, expected: impl Into<String>) -> Error {
+        let mut mistake = InputError::new(&self.path, Place::File, found, expected);
+        mistake.key = Some(key.to_owned());
+        mistake.into()
+    }
+}
+
+fn scene_without(mut table: Table) -> Table {
+    for (name, keys) in [("part", SHAPE.as_slice()), ("scan", PATH.as_slice())] {
+        if let Some(Value::Table(inner)) = table.get_mut(name) {
+            inner.retain(|key, _| !keys.contains(&key));
+        }
+    }
+    if let Some(Value::Table(scan)) = table.get_mut("scan") {
+        scan.extend(at_rest());
+    }
+    table
+}
+
+/// With speckle, on a part of half the light.
+fn of_sensor(path: &Path) -> Result<Table> {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let name = name.ok_or_else(|| {
+        let expected = "a file whose name is UTF-8, as other files must name it";
+        InputError::new(path, Place::File, "another name", expected)
+    })?;
+    let mut table = Table::new();
+    table.insert("seed".into(), Value::Integer(1));
+    table.insert("speckle".into(), Value::Boolean(true));
+    table.insert("sensor".into(), Value::String(name.into()));
+    let part = Table::from_iter([("reflectance".to_owned(), Value::Float(0.5))]);
+    table.insert("part".into(), Value::Table(part));
+    table.insert("scan".into(), Value::Table(at_rest()));
+    Ok(table)
+}
+
+fn at_rest() -> Table {
+    Table::from_iter([
+        ("frames".to_owned(), Value::Integer(1)),
+        ("step_mm".to_owned(), Value::Float(0.0)),
+        (
+            "direction".to_owned(),
+            Value::Array(vec![
+                Value::Float(0.0),
+                Value::Float(1.0),
+                Value::Float(0.0),
+            ]),
+        ),
+    ])
+}
