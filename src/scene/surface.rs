@@ -1,11 +1,12 @@
 //! What the part's surface is.
 
-use super::file::{CoatTable, LayTable, MattTable, MetalTable, PartTable};
+use super::file::{CoatTable, LayTable, MattTable, MetalTable, MirrorTable, PartTable};
 use super::resolver::Resolver;
 use crate::error::Result;
 use crate::math::Rigid;
 use crate::surface::{
-    Coat, Ggx, Glossy, Lambert, Lay, Lobe, Metal, Surface, WAVELENGTHS_NM, metal_index, metal_names,
+    Coat, Ggx, Glossy, Lambert, Lay, Lobe, Metal, Mirror, Surface, WAVELENGTHS_NM, metal_index,
+    metal_names,
 };
 use std::sync::Arc;
 
@@ -36,11 +37,15 @@ impl Resolver<'_> {
             self.share(reflectance, "part.surface.matt.reflectance")?;
             lobes.push((share, Lobe::Matt(Lambert { reflectance })));
         }
+        if let Some(MirrorTable { reflectance, share }) = table.mirror {
+            self.share(reflectance, "part.surface.mirror.reflectance")?;
+            lobes.push((share, Lobe::Mirror(Mirror { reflectance })));
+        }
         let key = "part.surface";
         self.check(
             !lobes.is_empty(),
             key,
-            "at least one of metal, coat and matt",
+            "at least one of metal, coat, matt and mirror",
         )?;
         let shares = || lobes.iter().map(|(share, _)| share);
         self.check(

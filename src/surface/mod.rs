@@ -8,6 +8,8 @@ mod glossy;
 mod lay;
 mod metal;
 mod metals;
+mod mirror;
+mod scatter;
 
 pub use coat::Coat;
 pub use ggx::Ggx;
@@ -15,6 +17,8 @@ pub use glossy::{Glossy, LitPoint, Lobe};
 pub use lay::Lay;
 pub use metal::Metal;
 pub use metals::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
+pub use mirror::Mirror;
+pub use scatter::{Drawn, Scatter};
 
 use crate::math::DVec3;
 use std::f64::consts::FRAC_1_PI;
