@@ -24,6 +24,7 @@ pub(crate) mod planner;
 mod rays;
 pub(crate) mod ready;
 mod reason;
+mod reflections;
 mod render;
 pub(crate) mod report;
 mod scan;
