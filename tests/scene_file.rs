@@ -47,6 +47,21 @@ const MISTAKES: &[(&str, &str, &str)] = &[
         ": plan.samples_per_side: found 17, expected from 1 to 16",
     ),
     (
+        "reflectance = 0.5",
+        "surface = { mirror = { reflectance = 2 } }",
+        ":7: part.surface.mirror.reflectance: found 2, expected a number from 0 to 1",
+    ),
+    (
+        "[scan]",
+        "[plan]\nreflections = 65\n[scan]",
+        ": plan.reflections: found 65, expected from 1 to 64",
+    ),
+    (
+        "m_squared = 1.1",
+        "m_squared = 1.1\ncoherence_length_mm = 0",
+        ": laser.coherence_length_mm: found 0, expected a finite number > 0",
+    ),
+    (
         "[scan]",
         "[plan]\ngeometry_only = true\n[scan]",
         ": plan.geometry_only: found true, expected false: it takes a line laser",

@@ -8,6 +8,11 @@ use crate::camera::Projector;
 use crate::math::{Aperture, DVec2, DVec3, Rigid};
 use std::f64::consts::PI;
 
+/// Steps to where light through a point of the pupil falls: each is some hundredth of the one before.
+const MOST_STEPS: usize = 16;
+/// Square of the last, pixels.
+const CONVERGED: f64 = 1e-16;
+
 /// A thin lens in the part's frame. Out of focus it spreads light over the image of its pupil, unless the
 /// view's image is sharp.
 pub(super) struct Eye<'a> {
@@ -115,9 +120,14 @@ impl<'a> Eye<'a> {
         let mut place = self.projector.project(seen)?;
         if self.blurred {
             // What is in focus depends on the place where the sensor is tilted.
-            for _ in 0..3 {
+            for _ in 0..MOST_STEPS {
                 let moved = pupil.off * (seen.z * self.vergence(place) - 1.0);
-                place = self.projector.project(seen + moved.extend(0.0))?;
+                let next = self.projector.project(seen + moved.extend(0.0))?;
+                let step = (next - place).length_squared();
+                place = next;
+                if step < CONVERGED {
+                    break;
+                }
             }
         }
         let on_sensor = self.view.camera.sensor.resolution.as_dvec2();

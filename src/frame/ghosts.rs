@@ -340,7 +340,8 @@ impl Tracer<'_> {
         let view = self.view;
         let to_part = &view.part_from_laser;
         let center = self.laser_from_part.point(view.accel.bounds().center());
-        let middle = view.laser.distance(center);
+        // Of a part behind the laser there is none.
+        let middle = view.laser.distance(center).max(1.0);
         let mut far = [middle; WIDTH];
         let mut hits = [None; WIDTH];
         // Streams bend by little: aimed at where the first chord met the part, a second one is where light goes.

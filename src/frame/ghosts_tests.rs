@@ -229,14 +229,14 @@ fn every_way_to_find_a_path_has_the_same_light() {
         mean(&images)
     };
     // What a mirror shows to the camera is found by no path from the laser alone.
-    let some = total((4, 1 << 15, 0.25));
-    let few = total((4, 1 << 12, 1.0));
-    let many = total((4, 1 << 17, 0.1));
+    let some = total((4, 1 << 14, 0.25));
+    let few = total((4, 1 << 12, 0.5));
+    let many = total((4, 1 << 15, 0.1));
     println!("{some:?} {few:?} {many:?}");
     for (a, b) in [(some, few), (some, many), (few, many)] {
         let error = f64::hypot(a.1, b.1);
         assert!((a.0 - b.0).abs() < 5.0 * error, "{a:?} {b:?}");
-        assert!(error < 0.02 * a.0, "{error}");
+        assert!(error < 0.04 * a.0, "{error}");
     }
     let rough = Setup::groove(aluminium(0.4), 5f64.to_radians());
     let total = |paths| {
@@ -246,7 +246,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
         mean(&images)
     };
     let laser = total((4, 1 << 15, 0.0));
-    let both = total((4, 1 << 12, 1.0));
+    let both = total((4, 1 << 12, 0.5));
     let error = f64::hypot(laser.1, both.1);
     assert!((laser.0 - both.0).abs() < 5.0 * error, "{laser:?} {both:?}");
 }
@@ -266,19 +266,27 @@ fn mirrored(p: DVec3, right: bool) -> DVec3 {
 fn mirrors_show_ghosts_where_mirrored_scenes_have_lines() {
     const MIRROR: f64 = 0.9;
     const MATT: f64 = 0.1;
+    const SIDE: u32 = 160;
     let mixed = glossy(vec![
         (MIRROR, Lobe::Mirror(Mirror { reflectance: 1.0 })),
         (MATT, Lobe::Matt(Lambert { reflectance: 1.0 })),
     ]);
     let askew = DVec3::new(1.0, 0.35, 0.0);
+    let square = || {
+        let mut camera = pinhole();
+        camera.sensor.resolution = UVec2::splat(SIDE);
+        camera
+    };
     let mut setup = Setup::groove(mixed, 2.5f64.to_radians());
+    setup.camera = square();
     setup.part_from_laser = looking(DVec3::Z * 200.0, DVec3::ZERO, askew);
     // Light of a matt surface alone, of the same random numbers' mean.
     let mut alone = Setup::groove(matt(MATT), 2.5f64.to_radians());
     alone.part_from_laser = setup.part_from_laser;
-    let paths = (2, 1 << 19, 0.5);
+    alone.camera = square();
+    let paths = (2, 1 << 17, 16.0);
     let both = setup.ghosts(paths, 1).dense();
-    let faint = alone.ghosts((2, 1 << 17, 0.0), 2).dense();
+    let faint = alone.ghosts((2, 1 << 15, 0.0), 2).dense();
     let found: Vec<f64> = both
         .iter()
         .zip(&faint)
@@ -306,7 +314,7 @@ fn mirrors_show_ghosts_where_mirrored_scenes_have_lines() {
                 accel: Accel::build(&mesh, 1).unwrap(),
                 laser: sheet(2.5f64.to_radians()),
                 part_from_laser: laser,
-                camera: pinhole(),
+                camera: square(),
                 part_from_camera: setup.part_from_camera,
                 surface: matt(MATT * MIRROR),
             };
@@ -322,15 +330,15 @@ fn mirrors_show_ghosts_where_mirrored_scenes_have_lines() {
     // Rows of the light of sixteen columns each, where there are lines, weighted by those.
     let brightest = expected.iter().fold(0.0, |most, &e| e.max(most));
     let (mut moved, mut weights, mut worst) = (0.0, 0.0, 0.0f64);
-    for first in (0..320).step_by(16) {
+    for first in (0..SIDE as usize).step_by(16) {
         let (mut sums, mut light) = ([0.0; 2], [0.0; 2]);
-        for i in 0..240 * 16usize {
+        for i in 0..SIDE as usize * 16 {
             let (column, row) = (first + i % 16, i / 16);
             // With what is beside a line, which paths miss by chance.
-            let near = (row.saturating_sub(3)..(row + 4).min(240))
-                .any(|row| expected[row * 320 + column] > 1e-3 * brightest);
+            let near = (row.saturating_sub(3)..(row + 4).min(SIDE as usize))
+                .any(|row| expected[row * SIDE as usize + column] > 1e-3 * brightest);
             if near {
-                let pixel = row * 320 + column;
+                let pixel = row * SIDE as usize + column;
                 for (k, e) in [found[pixel], expected[pixel]].into_iter().enumerate() {
                     sums[k] += e * row as f64;
                     light[k] += e;
