@@ -44,7 +44,7 @@ pub fn sheet_plot(places: &[PlottedPlace], headline: &[String; 2]) -> String {
     let axes = Axes {
         frame: [620.0, 90.0, SIDE[0], SIDE[1]],
         beyond: [0.0; 2],
-        title: "Linearity: indicated less true height, µm (bars: ± 2 standard uncertainties)",
+        title: "Linearity: indicated less true height, µm (bars: ± 2 u)",
         x: x(),
         y: Axis::linear("", [-1.1 * most, 1.1 * most]),
     };
@@ -80,8 +80,8 @@ fn scatter(svg: &mut Svg, places: &[PlottedPlace], x: Axis) {
     let series: [(&str, Values); 4] = [
         ("place to place (speckle in it)", |p| p.place_to_place),
         ("repeatability (nothing moves)", |p| p.repeatability),
-        ("mean of 100 columns, place to place", |p| p.mean_of_columns),
-        ("mean of 10 profiles, place to place", |p| {
+        ("mean of 100 columns", |p| p.mean_of_columns),
+        ("mean of 10 profiles", |p| {
             p.mean_of_profiles
         }),
     ];
