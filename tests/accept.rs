@@ -232,7 +232,7 @@ fn seen_in_turned_plane(place: DVec3, eye: DVec3, turn: f64) -> DVec3 {
 /// of some 0.2 mm, on either side.
 #[test]
 fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
-    const TURN: f64 = 0.02;
+    const TURN: f64 = 0.05;
     const FINDER_UM: f64 = 0.8;
     let folder = sensor(ACCEPT);
     let known = Cell::new((Rigid::IDENTITY, DVec3::ZERO));
@@ -259,7 +259,7 @@ fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
             .placings
             .iter()
             .filter(move |p| p.artefact == artefact);
-        placings.map(|p| head_from_laser * p.laser_from_artefact)
+        placings.map(move |p| head_from_laser * p.laser_from_artefact)
     };
 
     let true_heights = middles(Artefact::Height).map(|pose| pose.translation);
