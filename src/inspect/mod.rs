@@ -2,6 +2,7 @@
 //! place where what was measured meets what is true.
 
 pub mod align;
+pub mod bands;
 pub mod cloud;
 pub mod continuity;
 pub mod coverage;

@@ -15,6 +15,7 @@ pub mod race_plot;
 pub mod residual_picture;
 pub mod setup;
 pub(crate) mod svg;
+pub mod sweep_plot;
 pub mod uncertainty_plot;
 pub mod viewer;
 pub mod wave_plot;

@@ -9,6 +9,7 @@ use super::summary::ScanSummary;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
+use crate::inspect::bands::{Verdict, in_words, judge};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
@@ -17,8 +18,7 @@ use crate::math::DVec3;
 use crate::plan::rules::Effect;
 use crate::report::chart::{color_bar, short};
 use crate::report::color::{Rgb, diverging, sequential};
-use crate::report::page::of_fate;
-use crate::report::page::{ColorMap, Report};
+use crate::report::page::{ColorMap, Report, of_fate, of_verdict};
 use crate::report::picture::{ParallelView, part_picture};
 use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
@@ -29,6 +29,8 @@ const MOST_IN_VIEWER: usize = 60_000;
 
 /// Longer side of the pictures of the part, px.
 const PICTURE_SIZE: usize = 900;
+
+const TOLERANCE: &str = "Blue: pass. Red: fail. Yellow: unsure. Grey: flagged, or of no region.";
 
 const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
@@ -78,6 +80,7 @@ impl Shown<'_> {
                 Some(_) => self.histograms(&limits),
                 None => Vec::new(),
             },
+            tolerance: self.summary.tolerance.clone(),
             flags: count_flags(self.points),
             setup: self.setup(),
             frames: match self.images {
@@ -168,7 +171,23 @@ impl Shown<'_> {
             &|p| p.is_valid(),
         ));
         control.check()?;
+        let bands = &self.simulation.scene.bands;
+        if !bands.is_empty() {
+            maps.push(self.map(
+                "Within tolerance",
+                String::new(),
+                TOLERANCE,
+                &views,
+                &|p| of_verdict(self.verdict(p)),
+                &|p| self.verdict(p).is_some(),
+            ));
+            control.check()?;
+        }
         Ok(maps)
+    }
+
+    fn verdict(&self, point: &CloudPoint) -> Option<Verdict> {
+        judge(&self.simulation.scene.bands, point).map(|(_, verdict)| verdict)
     }
 
     fn valid(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
@@ -185,9 +204,13 @@ impl Shown<'_> {
             "" => String::new(),
             warnings => format!(" Warning: {warnings}"),
         };
+        let tolerance = match &self.summary.tolerance[..] {
+            [] => String::new(),
+            regions => format!(" Tolerance: {}.", in_words(regions)),
+        };
         format!(
             "{} of {} points are valid. Their deviation from the CAD is {} ± {} µm (mean and \
-             standard deviation); 98 % of them are between {} and {} µm.{warnings}",
+             standard deviation); 98 % of them are between {} and {} µm.{tolerance}{warnings}",
             d.points,
             self.points.len(),
             short(d.mean_um),
@@ -274,7 +297,7 @@ impl Shown<'_> {
             colors: shown.iter().map(|p| color(p)).collect(),
         };
         let (d, s) = (limits.deviation_um, limits.sigma_um);
-        let cloud = Layer {
+        let mut cloud = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
             modes: vec![
                 mode(
@@ -297,6 +320,10 @@ impl Shown<'_> {
                 ),
             ],
         };
+        if !self.simulation.scene.bands.is_empty() {
+            let of = |p: &CloudPoint| of_verdict(self.verdict(p));
+            cloud.modes.push(mode("tolerance", TOLERANCE.into(), &of));
+        }
         let any = self.summary.deviation.is_some();
         let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
         layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {

@@ -2,6 +2,7 @@
 
 mod data_sheet;
 mod file;
+mod inspect_table;
 mod keys;
 mod locate;
 mod optics;

@@ -10,6 +10,7 @@ use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, InputError, Place, Result};
+use crate::inspect::bands::Band;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
@@ -105,6 +106,9 @@ pub struct Scene {
     /// From image to points.
     #[doc(hidden)]
     pub measure: Measure,
+    /// Which deviations regions of the part may have; empty where nobody says.
+    #[doc(hidden)]
+    pub bands: Vec<Band>,
     /// How the body moves, and how often a frame is taken.
     pub scan: ScanPath,
     /// What the measurement takes the sensor for; `None`: what it is.
@@ -152,6 +156,12 @@ impl Scene {
     pub(crate) fn of_same_part(&self, text: String) -> Result<Scene> {
         let source = Source::parse(&self.path, text)?;
         Scene::resolved(source, &self.path, &|_| Ok(()), Some(self))
+    }
+
+    /// The scene of another text in the same place, with a part of its own.
+    pub(crate) fn of_other_part(&self, text: String, watch: &Watch) -> Result<Scene> {
+        let source = Source::parse(&self.path, text)?;
+        Scene::resolved(source, &self.path, watch, None)
     }
 
     /// The scene with this exposure (ms), or as long a one as the frame rate lets it have.
@@ -293,6 +303,7 @@ impl Resolver<'_> {
                 choice: file.measure.choose,
                 align: file.measure.align,
             },
+            bands: self.bands(&file.inspect)?,
             scan,
             calibration,
         })
