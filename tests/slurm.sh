@@ -92,7 +92,7 @@ say 'undivided'
 say 'eight shards on two nodes'
 cd "$work"
 array=$(sbatch --parsable --requeue --array=0-7 --cpus-per-task=1 "$scripts/render.sh" "$scene" "$out" 8)
-running() { [ "$(squeue -h -t R -o %i | wc -l)" -ge 4 ] && [ "$(find "$out/profiles" -name '*.csv' | wc -l)" -ge 8 ]; }
+running() { [ "$(squeue -h -t R -o %i | wc -l)" -ge 4 ] && [ "$(find "$out/shards" -name '*.part' -size +8k | wc -l)" -ge 2 ]; }
 await 60 'four shards at work' running
 say 'a renderer is killed, and a node'
 pkill -KILL -o -f "lasertrace --quiet scan .* --shard" || true
@@ -120,5 +120,5 @@ cmp <(report "$work/undivided") <(report "$out") || differing="$differing report
 summary() { sed "s|$1|OUT|g" "$1/summary.json"; }
 cmp <(summary "$work/undivided") <(summary "$out") || differing="$differing summary"
 [ -z "$differing" ] || { say "differing: $differing"; exit 1; }
-count=$(find "$out/profiles" -name '*.csv' | wc -l)
+count=$(sed -n 's/^  "frames": \([0-9]*\),/\1/p' "$out/summary.json")
 echo "$count frames in 8 shards on two nodes, one renderer and one node killed: the bytes of an undivided scan"

@@ -21,6 +21,7 @@ mod scan;
 mod serve;
 mod signals;
 mod speckle;
+mod sweep;
 mod threads;
 mod uncertainty;
 #[cfg(feature = "service")]
@@ -74,6 +75,8 @@ enum Command {
     Merge(merge::Arguments),
     /// Make a data set for learning: frames with values drawn anew for each, with their truth
     Dataset(dataset::Arguments),
+    /// Scan a scene with other values at each of many places: one table, and plots
+    Sweep(sweep::Arguments),
     /// Calibrate camera and laser plane from simulated views of a target
     Calibrate(calibrate::Arguments),
     /// Chart accuracy against speed: each combination of methods, on frames of the scene
@@ -276,7 +279,7 @@ fn perform(cli: Cli) -> std::result::Result<(), Option<Error>> {
         json: cli.json,
         again: match &cli.command {
             Command::Scan(scan) if !scan.is_shard() => complaint::Again::Resumes,
-            Command::Dataset(_) => complaint::Again::GoesOn,
+            Command::Dataset(_) | Command::Sweep(_) => complaint::Again::GoesOn,
             _ => complaint::Again::StartsAnew,
         },
     };
@@ -329,6 +332,7 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         Command::Scan(arguments) => scan::run(arguments, &output),
         Command::Merge(arguments) => merge::run(arguments, &output),
         Command::Dataset(arguments) => dataset::run(arguments, &output),
+        Command::Sweep(arguments) => sweep::run(arguments, &output),
         Command::Calibrate(arguments) => calibrate::run(arguments, &output),
         Command::Chart(arguments) => chart::run(arguments, &output),
         Command::Speckle(arguments) => speckle::run(arguments, &output),

@@ -5,6 +5,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 use crate::error::Result;
 use crate::error::printable::path;
+use crate::inspect::bands::in_words;
 use crate::report::chart::short;
 use crate::report::formats::Format;
 use crate::run::{ScanOptions, ScanSummary, Shard};
@@ -199,6 +200,9 @@ impl Whole {
             path(&summary.report),
             path(&summary.cloud)
         );
+        if !summary.tolerance.is_empty() {
+            text += &format!("\ntolerance:        {}", in_words(&summary.tolerance));
+        }
         if let Some(accuracy) = &summary.accuracy {
             text += &format!("\naccuracy:         {}", accuracy.statement);
         }

@@ -4,6 +4,7 @@
 pub mod acceptance;
 pub mod align;
 pub mod artefact;
+pub mod bands;
 pub mod cloud;
 pub mod continuity;
 pub mod coverage;

@@ -20,6 +20,7 @@ pub mod residual_picture;
 pub mod setup;
 pub mod sheet_plot;
 pub(crate) mod svg;
+pub mod sweep_plot;
 pub mod uncertainty_plot;
 pub mod viewer;
 pub mod wave_plot;

@@ -5,6 +5,7 @@ use super::chart::share_bar;
 use super::color::Rgb;
 use super::svg::Svg;
 use super::viewer::Viewer;
+use crate::inspect::bands::{RegionVerdict, Verdict};
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
@@ -28,6 +29,8 @@ pub struct Report {
     pub statistics: Option<DeviationStatistics>,
     /// Caption and SVG.
     pub histograms: Vec<(String, String)>,
+    /// How points lie in their tolerance bands; empty without any.
+    pub tolerance: Vec<RegionVerdict>,
     /// Those that some point carries.
     pub flags: Vec<FlagCount>,
     /// What became of the part's surface; `None` if nobody asked for it.
@@ -92,7 +95,7 @@ impl Report {
 }
 
 mod filters {
-    use super::{Fate, explained, of_fate};
+    use super::{Fate, Verdict, explained, of_fate, of_verdict};
     use crate::report::{chart, color, picture};
     use askama::{Result, Values, filter_fn};
 
@@ -109,6 +112,20 @@ mod filters {
     #[filter_fn]
     pub fn fate_colour(fate: &Fate, _: &dyn Values) -> Result<String> {
         Ok(color::css(of_fate(*fate)))
+    }
+
+    #[filter_fn]
+    pub fn verdict_colour(verdict: &Verdict, _: &dyn Values) -> Result<String> {
+        Ok(color::css(of_verdict(Some(*verdict))))
+    }
+
+    #[filter_fn]
+    pub fn verdict_name(verdict: &Verdict, _: &dyn Values) -> Result<&'static str> {
+        Ok(match verdict {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "fail",
+            Verdict::Unsure => "unsure",
+        })
     }
 
     #[filter_fn]
@@ -131,6 +148,28 @@ pub fn of_fate(fate: Fate) -> Rgb {
         Fate::HiddenFromLaser => [120, 120, 120],
         Fate::OutsideScan => [205, 205, 205],
     }
+}
+
+/// The colour of a verdict; that of `None` is of points without one.
+pub fn of_verdict(verdict: Option<Verdict>) -> Rgb {
+    match verdict {
+        Some(Verdict::Pass) => [0, 114, 178],
+        Some(Verdict::Fail) => [213, 94, 0],
+        Some(Verdict::Unsure) => [240, 228, 66],
+        None => [205, 205, 205],
+    }
+}
+
+/// A bar of how a region's points lie.
+fn verdict_bar(region: &RegionVerdict) -> String {
+    let all = (region.pass + region.fail + region.unsure).max(1) as f64;
+    let parts = [
+        ("pass", region.pass, Verdict::Pass),
+        ("unsure", region.unsure, Verdict::Unsure),
+        ("fail", region.fail, Verdict::Fail),
+    ];
+    let parts = parts.map(|(name, n, verdict)| (name, n as f64 / all, of_verdict(Some(verdict))));
+    share_bar(&format!("points of {}", region.name), &parts)
 }
 
 /// What a fate is called, and what it means.
@@ -194,6 +233,7 @@ mod tests {
             maps: vec![],
             statistics: None,
             histograms: vec![],
+            tolerance: vec![],
             flags: vec![],
             coverage: None,
             setup: vec![],

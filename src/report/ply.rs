@@ -1,6 +1,7 @@
 //! `cloud.ply`.
 
 use super::color::diverging;
+use crate::inspect::bands::{Band, Verdict, judge};
 use crate::inspect::cloud::CloudPoint;
 use std::io::{self, Write};
 
@@ -17,8 +18,9 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 /// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
 /// (uchar; the deviation, as in the report), deviation, sigma and deviation_sigma (float, mm),
 /// intensity (float, counts), repeatability and correlation_length (float, mm), frame, column and flags (int, which every
-/// reader takes; the bits of [`Flags`](crate::profile::Flags)), and where light reflected more than once is modelled direct (float).
-pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
+/// reader takes; the bits of [`Flags`](crate::profile::Flags)); with `bands` verdict (int: 0 none, 1 pass, 2 fail, 3 unsure)
+/// and region (int: number of the band, -1 none); and where light reflected more than once is modelled direct (float).
+pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> io::Result<()> {
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\n\
@@ -30,8 +32,12 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
          property float deviation\nproperty float sigma\n\
          property float deviation_sigma\nproperty float intensity\n\
          property float repeatability\nproperty float correlation_length\n\
-         property int frame\nproperty int column\nproperty int flags\n",
-        points.len()
+         property int frame\nproperty int column\nproperty int flags\n{}",
+        points.len(),
+        match bands {
+            [] => "",
+            _ => "property int verdict\nproperty int region\n",
+        }
     )?;
     let reflections = points.iter().any(|point| point.direct != 1.0);
     if reflections {
@@ -70,6 +76,13 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint]) -> io::Result<()> {
         for number in [point.frame, point.column, point.flags.bits().into()] {
             out.write_all(&number.to_le_bytes())?;
         }
+        if !bands.is_empty() {
+            let judged = judge(bands, point);
+            let verdict = Verdict::number(judged.map(|(_, verdict)| verdict));
+            let region = judged.map_or(-1, |(region, _)| region as i32);
+            out.write_all(&verdict.to_le_bytes())?;
+            out.write_all(&region.to_le_bytes())?;
+        }
         if reflections {
             out.write_all(&point.direct.to_le_bytes())?;
         }
@@ -105,7 +118,7 @@ mod tests {
         };
         let points = [point(0), point(1)];
         let mut bytes = Vec::new();
-        write_ply(&mut bytes, &points).unwrap();
+        write_ply(&mut bytes, &points, &[]).unwrap();
         let end = b"end_header\n";
         let header = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
         let text = std::str::from_utf8(&bytes[..header]).unwrap();
@@ -130,7 +143,7 @@ mod tests {
             ..point(1)
         };
         let mut bytes = Vec::new();
-        write_ply(&mut bytes, &[point(0), ghost]).unwrap();
+        write_ply(&mut bytes, &[point(0), ghost], &[]).unwrap();
         assert_eq!(bytes[bytes.len() - 4..], 0.25f32.to_le_bytes());
         assert_eq!(
             bytes[bytes.len() - 4 - record - 4..][..4],

@@ -41,6 +41,9 @@ impl FrameContent {
     }
 }
 
+/// Images that are checked before more of the journal is read.
+const REPAIRED_TOGETHER: usize = 1024;
+
 /// The frames of a scan in the making.
 pub struct Run<'a> {
     pub simulation: &'a Simulation,
@@ -75,13 +78,28 @@ impl Run<'_> {
 
     /// Takes those frames again whose images are not what the journal says. A frame
     /// depends on its number alone, so the journal's record stays right.
-    pub fn repair(&self, first: u32, kept: &[Option<Checksum>]) -> Result<()> {
-        (self.control.progress)(kept.len() as u64);
-        kept.par_iter().enumerate().try_for_each(|(i, sum)| {
+    pub fn repair(&self, journal: &mut Journal) -> Result<()> {
+        (self.control.progress)(self.done.load(Ordering::Relaxed));
+        if !self.simulation.scene.write_frames {
+            return Ok(());
+        }
+        let mut images = Vec::new();
+        journal.each(|record| {
+            images.extend(record.image.map(|sum| (record.frame, sum)));
+            if images.len() == REPAIRED_TOGETHER {
+                self.repair_some(&images)?;
+                images.clear();
+            }
+            Ok(())
+        })?;
+        self.repair_some(&images)
+    }
+
+    fn repair_some(&self, images: &[(u32, Checksum)]) -> Result<()> {
+        images.par_iter().try_for_each(|&(frame, sum)| {
             self.control.check()?;
-            let frame = first + i as u32;
-            let found = || std::fs::read(self.name(frame)).map(|bytes| checksum(&bytes));
-            match sum.is_none_or(|sum| found().is_ok_and(|found| found == sum)) {
+            let found = std::fs::read(self.name(frame)).map(|bytes| checksum(&bytes));
+            match found.is_ok_and(|found| found == sum) {
                 true => Ok(()),
                 false => self.frame(frame).map(drop),
             }

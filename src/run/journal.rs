@@ -93,16 +93,12 @@ pub struct Journal {
 const SYNC: Duration = Duration::from_secs(10);
 
 impl Journal {
-    /// Opens the journal in `out` for one run alone, and with `resume` gives the
-    /// checksums of the frames that are in it, in their order; else it starts anew.
+    /// Opens the journal in `out` for one run alone, and with `resume` says how many frames
+    /// are in it; else it starts anew.
     ///
     /// Errors: another run writes there; with `resume`, frames of another scene,
     /// seed, range or version.
-    pub fn open(
-        out: &Path,
-        key: &RunKey,
-        resume: bool,
-    ) -> Result<(Journal, Vec<Option<Checksum>>)> {
+    pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, u32)> {
         let path = out.join("frames.journal");
         let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
         match file.try_lock() {
@@ -117,10 +113,9 @@ impl Journal {
             path,
             synced: Instant::now(),
         };
-        let mut kept = Vec::new();
-        let mut end = 0;
+        let (mut kept, mut end) = (0, 0);
         if resume {
-            end = journal.check(key, &mut kept)?;
+            (kept, end) = journal.check(key)?;
         }
         let cut = |file: &mut File| {
             file.set_len(end)?;
@@ -148,13 +143,13 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Reads what there is of the run; how many bytes of the file are of use.
-    fn check(&self, key: &RunKey, kept: &mut Vec<Option<Checksum>>) -> Result<u64> {
+    /// Reads what there is of the run; how many frames and how many bytes of the file are of use.
+    fn check(&self, key: &RunKey) -> Result<(u32, u64)> {
         let failed = || Error::io("read", &self.path);
         let mut reader = self.reader().map_err(failed())?;
         let header = reader.next().map_err(failed())?;
         let Some(old) = header.and_then(|h| serde_json::from_slice::<RunKey>(&h).ok()) else {
-            return Ok(0);
+            return Ok((0, 0));
         };
         if let Some(difference) = key.difference(&old) {
             return Err(Error::OtherRun {
@@ -162,21 +157,20 @@ impl Journal {
                 difference,
             });
         }
-        let mut end = reader.at;
+        let (mut kept, mut end) = (0, reader.at);
         while let Some(content) = reader.next().map_err(failed())? {
-            let record = postcard::from_bytes::<FrameRecord>(&content);
-            let expected = key.frames.start as u64 + kept.len() as u64;
-            match record {
+            let expected = u64::from(key.frames.start) + u64::from(kept);
+            match postcard::from_bytes::<FrameRecord>(&content) {
                 Ok(record)
-                    if record.frame as u64 == expected && expected < key.frames.end as u64 =>
+                    if u64::from(record.frame) == expected && record.frame < key.frames.end =>
                 {
-                    kept.push(record.image)
+                    kept += 1;
                 }
                 _ => break,
             }
             end = reader.at;
         }
-        Ok(end)
+        Ok((kept, end))
     }
 
     fn reader(&self) -> io::Result<Reader<&File>> {
@@ -185,8 +179,8 @@ impl Journal {
         Reader::new(file, file.metadata()?.len())
     }
 
-    /// Adds the next frames in order; nothing may be added after [`Self::records`].
-    pub fn append(&mut self, records: &[FrameRecord]) -> Result<()> {
+    /// Adds the next records.
+    pub fn append(&mut self, records: &[impl Serialize]) -> Result<()> {
         let mut bytes = Vec::new();
         for record in records {
             let content = postcard::to_allocvec(record).expect("a record has a length");
@@ -213,19 +207,29 @@ impl Journal {
             .map_err(Error::io("write", &self.path))
     }
 
-    /// All frames in the journal.
-    pub fn records(&self) -> Result<Vec<FrameRecord>> {
-        let read = || -> io::Result<_> {
-            let mut reader = self.reader()?;
-            let mut records = Vec::new();
-            reader.next()?;
-            while let Some(content) = reader.next()? {
-                let record = postcard::from_bytes::<FrameRecord>(&content);
-                records.push(record.map_err(io::Error::other)?);
-            }
-            Ok(records)
-        };
-        read().map_err(Error::io("read", &self.path))
+    /// No fewer points than are in the journal.
+    pub fn most_points(&self) -> Result<usize> {
+        // Postcard writes whole numbers in a byte or more.
+        const LEAST: u64 = 9 * 8 + 3 * 4 + 3;
+        let file = self
+            .file
+            .metadata()
+            .map_err(Error::io("read", &self.path))?;
+        Ok((file.len() / LEAST) as usize)
+    }
+
+    /// Calls `then` with all frames in the journal, one by one.
+    pub fn each(&mut self, mut then: impl FnMut(FrameRecord) -> Result<()>) -> Result<()> {
+        let failed = || Error::io("read", &self.path);
+        let mut reader = self.reader().map_err(failed())?;
+        reader.next().map_err(failed())?;
+        while let Some(content) = reader.next().map_err(failed())? {
+            let record = postcard::from_bytes::<FrameRecord>(&content).map_err(io::Error::other);
+            then(record.map_err(failed())?)?;
+        }
+        // What is added comes at the end.
+        let end = self.file.seek(SeekFrom::End(0));
+        end.map(drop).map_err(Error::io("read", &self.path))
     }
 }
 
@@ -238,7 +242,7 @@ fn framed(content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The frames of a journal that no one writes to, one by one.
+/// The records of a journal, one by one, as far as it is written.
 pub struct Records {
     reader: Reader<File>,
     path: PathBuf,
@@ -263,8 +267,8 @@ impl Records {
         Ok(content.and_then(|content| serde_json::from_slice(&content).ok()))
     }
 
-    /// The next frame; `None` where the file ends or is damaged.
-    pub fn next(&mut self) -> Result<Option<FrameRecord>> {
+    /// The next record; `None` where the file ends or is damaged.
+    pub fn next<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
         Ok(content.and_then(|content| postcard::from_bytes(&content).ok()))
     }
@@ -362,10 +366,20 @@ mod tests {
         }
     }
 
+    fn records(journal: &mut Journal) -> Vec<FrameRecord> {
+        let mut all = Vec::new();
+        let each = journal.each(|record| {
+            all.push(record);
+            Ok(())
+        });
+        each.unwrap();
+        all
+    }
+
     /// A journal of frames 3, 4 and 5, and its bytes.
     fn written(out: &Path) -> Vec<u8> {
         let (mut journal, kept) = Journal::open(out, &key(), false).unwrap();
-        assert!(kept.is_empty());
+        assert_eq!(kept, 0);
         journal.append(&[record(3), record(4)]).unwrap();
         journal.append(&[record(5)]).unwrap();
         fs::read(out.join("frames.journal")).unwrap()
@@ -376,9 +390,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         written(folder.path());
         let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
-        assert_eq!(kept, [3, 4, 5].map(|f| record(f).image));
+        assert_eq!(kept, 3);
+        assert_eq!(records(&mut journal), [3, 4, 5].map(record));
         journal.append(&[record(6)]).unwrap();
-        assert_eq!(journal.records().unwrap(), [3, 4, 5, 6].map(record));
+        assert_eq!(records(&mut journal), [3, 4, 5, 6].map(record));
+        assert!((18..25).contains(&journal.most_points().unwrap()));
     }
 
     /// Whatever byte is lost or flipped, only whole frames before it are kept.
@@ -389,16 +405,18 @@ mod tests {
         let whole = written(folder.path());
         let open = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
-            let (journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+            let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+            assert!(kept < 3 || bytes.starts_with(&whole));
+            assert!(
+                records(&mut journal)
+                    .into_iter()
+                    .eq((3..3 + kept).map(record))
+            );
             drop(journal);
-            assert!(kept.len() < 3 || bytes.starts_with(&whole));
-            for (i, image) in kept.iter().enumerate() {
-                assert_eq!(*image, record(3 + i as u32).image);
-            }
             // What is left is a journal that can be continued.
             let left = fs::read(&path).unwrap();
             assert!(whole.starts_with(&left));
-            kept.len()
+            kept
         };
         let mut lengths = Vec::new();
         for length in 0..whole.len() {

@@ -9,6 +9,7 @@ use super::summary::ScanSummary;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
+use crate::inspect::bands::{Verdict, in_words, judge};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
@@ -19,8 +20,7 @@ use crate::plan::rules::Effect;
 use crate::profile::{Filters, Smooth};
 use crate::report::chart::{color_bar, short};
 use crate::report::color::{Rgb, diverging, sequential};
-use crate::report::page::of_fate;
-use crate::report::page::{ColorMap, Report};
+use crate::report::page::{ColorMap, Report, of_fate, of_verdict};
 use crate::report::picture::{ParallelView, part_picture};
 use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
@@ -31,6 +31,8 @@ const MOST_IN_VIEWER: usize = 60_000;
 
 /// Longer side of the pictures of the part, px.
 const PICTURE_SIZE: usize = 900;
+
+const TOLERANCE: &str = "Blue: pass. Red: fail. Yellow: unsure. Grey: flagged, or of no region.";
 
 const FLAGGED: Rgb = [200, 0, 120];
 const UNFLAGGED: Rgb = [150, 190, 200];
@@ -80,6 +82,7 @@ impl Shown<'_> {
                 Some(_) => self.histograms(&limits),
                 None => Vec::new(),
             },
+            tolerance: self.summary.tolerance.clone(),
             flags: count_flags(self.points),
             setup: self.setup(),
             frames: match self.images {
@@ -191,7 +194,23 @@ impl Shown<'_> {
             &|p| p.is_valid(),
         ));
         control.check()?;
+        let bands = &self.simulation.scene.bands;
+        if !bands.is_empty() {
+            maps.push(self.map(
+                "Within tolerance",
+                String::new(),
+                TOLERANCE,
+                &views,
+                &|p| of_verdict(self.verdict(p)),
+                &|p| self.verdict(p).is_some(),
+            ));
+            control.check()?;
+        }
         Ok(maps)
+    }
+
+    fn verdict(&self, point: &CloudPoint) -> Option<Verdict> {
+        judge(&self.simulation.scene.bands, point).map(|(_, verdict)| verdict)
     }
 
     fn valid(&self) -> impl Iterator<Item = &CloudPoint> + Clone {
@@ -208,9 +227,13 @@ impl Shown<'_> {
             "" => String::new(),
             warnings => format!(" Warning: {warnings}"),
         };
+        let tolerance = match &self.summary.tolerance[..] {
+            [] => String::new(),
+            regions => format!(" Tolerance: {}.", in_words(regions)),
+        };
         format!(
             "{} of {} points are valid. Their deviation from the CAD is {} ± {} µm (mean and \
-             standard deviation); 98 % of them are between {} and {} µm.{warnings}",
+             standard deviation); 98 % of them are between {} and {} µm.{tolerance}{warnings}",
             d.points,
             self.points.len(),
             short(d.mean_um),
@@ -291,10 +314,17 @@ impl Shown<'_> {
     fn viewer(&self, limits: &Limits) -> Viewer {
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
         let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
-        let cloud = Layer {
+        let mut cloud = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
             modes: point_modes(&shown, limits),
         };
+        if !self.simulation.scene.bands.is_empty() {
+            cloud.modes.push(Mode {
+                name: "tolerance",
+                caption: TOLERANCE.into(),
+                colors: shown.iter().map(|p| of_verdict(self.verdict(p))).collect(),
+            });
+        }
         let any = self.summary.deviation.is_some();
         let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
         layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {

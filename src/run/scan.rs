@@ -12,6 +12,7 @@ use super::warnings::{self, Foreseen};
 use super::{Control, Coverage, files, forecast, need};
 use crate::error::{Error, Result};
 use crate::inspect::align::{Alignment, best_fit};
+use crate::inspect::bands::sum_up;
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::coverage::{HeadPose, Scanned, coverage};
 use crate::inspect::deviation::DeviationStatistics;
@@ -38,7 +39,7 @@ struct Manifest<'a> {
     #[serde(flatten)]
     key: &'a RunKey,
     /// Frames that an earlier run had finished.
-    frames_kept: usize,
+    frames_kept: u32,
     coverage: Coverage,
     plan: &'a Plan,
     threads: usize,
@@ -92,7 +93,7 @@ pub fn scan(
     }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
-    clear(scene, out, kept.is_empty())?;
+    clear(scene, out, kept == 0)?;
     let simulation = simulation_of(scene, options, control)?;
     let prepared = Instant::now();
 
@@ -101,19 +102,19 @@ pub fn scan(
         out,
         control,
         unfinished: files::PART,
-        done: AtomicU64::new(kept.len() as u64),
+        done: AtomicU64::new(u64::from(kept)),
     };
-    run.repair(frames.start, &kept)?;
-    run.frames(frames.start + kept.len() as u32..frames.end, &mut journal)?;
+    run.repair(&mut journal)?;
+    run.frames(frames.start + kept..frames.end, &mut journal)?;
     let measured = Instant::now();
 
     let summary = finish(
         &simulation,
         options,
         &frames,
-        &journal,
+        &mut journal,
         (out, control),
-        run_table(&key, prepared - start, measured - prepared, kept.len()),
+        run_table(&key, prepared - start, measured - prepared, kept),
     )?;
     journal.sync()?;
     control.check()?;
@@ -121,7 +122,7 @@ pub fn scan(
         program: env!("CARGO_PKG_NAME"),
         scene: &scene.path,
         key: &key,
-        frames_kept: kept.len(),
+        frames_kept: kept,
         coverage: options.coverage,
         plan: &simulation.plan,
         threads: rayon::current_num_threads(),
@@ -277,28 +278,33 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
 }
 
 /// The points of all frames, and the share of them that the lens would blur widely.
-fn points_of(journal: &Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
-    let (mut points, mut blurred) = (Vec::new(), 0);
-    for record in journal.records()? {
+fn points_of(journal: &mut Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
+    // At once: a vector that grows has its points twice while it moves.
+    let (mut points, mut blurred) = (Vec::with_capacity(journal.most_points()?), 0);
+    journal.each(|record| {
         points.extend(record.points);
         blurred += record.blurred;
-    }
-    let share = || blurred as f64 / points.len() as f64;
-    let share = (!points.is_empty()).then(share);
+        Ok(())
+    })?;
+    let share = blurred_share(blurred, points.len());
     Ok((points, share))
 }
 
-/// From the points of all frames to cloud, pictures, report and summary.
-fn finish(
+/// What is known of a scan when its points have been compared with the CAD.
+struct Judged {
+    points: Vec<CloudPoint>,
+    poses: Vec<HeadPose>,
+    summary: ScanSummary,
+}
+
+/// Compares the points of all frames with the CAD, and sums up.
+fn judge(
     simulation: &Simulation,
-    options: &ScanOptions,
     frames: &Range<u32>,
-    journal: &Journal,
+    (mut points, blurred_share): (Vec<CloudPoint>, Option<f64>),
     (out, control): (&Path, &Control),
-    run: Vec<(&'static str, String)>,
-) -> Result<ScanSummary> {
+) -> Result<Judged> {
     let scene = &simulation.scene;
-    let (mut points, blurred_share) = points_of(journal)?;
     simulation.compare_piece(frames, &mut points, |frame| {
         control.check()?;
         Ok(FrameContent::of(simulation, frame).points)
@@ -327,7 +333,55 @@ fn finish(
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
-    files::write(&summary.cloud, |file| ply::write_ply(file, &points))?;
+    Ok(Judged {
+        points,
+        poses,
+        summary,
+    })
+}
+
+/// What a scan of these frames gives in numbers; no file is written.
+pub fn summed_up(
+    simulation: &Simulation,
+    frames: &Range<u32>,
+    control: &Control,
+) -> Result<ScanSummary> {
+    let contents = frames.clone().into_par_iter().map(|frame| {
+        control.check()?;
+        Ok(FrameContent::of(simulation, frame))
+    });
+    let mut all = Vec::new();
+    let mut blurred = 0;
+    for content in contents.collect::<Result<Vec<_>>>()? {
+        all.extend(content.points);
+        blurred += content.blurred;
+    }
+    let share = blurred_share(blurred, all.len());
+    let judged = judge(simulation, frames, (all, share), (Path::new(""), control))?;
+    Ok(judged.summary)
+}
+
+fn blurred_share(blurred: u32, points: usize) -> Option<f64> {
+    (points > 0).then(|| f64::from(blurred) / points as f64)
+}
+
+/// From the points of all frames to cloud, pictures, report and summary.
+fn finish(
+    simulation: &Simulation,
+    options: &ScanOptions,
+    frames: &Range<u32>,
+    journal: &mut Journal,
+    (out, control): (&Path, &Control),
+    run: Vec<(&'static str, String)>,
+) -> Result<ScanSummary> {
+    let Judged {
+        points,
+        poses,
+        mut summary,
+    } = judge(simulation, frames, points_of(journal)?, (out, control))?;
+    files::write(&summary.cloud, |file| {
+        ply::write_ply(file, &points, &simulation.scene.bands)
+    })?;
     files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
     for format in &options.also {
         control.check()?;
@@ -340,7 +394,7 @@ fn finish(
         points: &points,
         frames: frames.clone(),
         poses: &poses,
-        images,
+        images: !simulation.plan.geometry_only,
         summary: &summary,
         run,
     };
@@ -397,6 +451,7 @@ fn summary(
         uncertainty: UncertaintyStatistics::of(points),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
+        tolerance: sum_up(&scene.bands, points),
         alignment: None,
         accuracy: None,
         coverage: None,
@@ -447,9 +502,9 @@ fn run_table(
     key: &RunKey,
     preparing: Duration,
     taking: Duration,
-    kept: usize,
+    kept: u32,
 ) -> Vec<(&'static str, String)> {
-    let rate = (key.frames.len() - kept) as f64 / taking.as_secs_f64();
+    let rate = (key.frames.len() as u32 - kept) as f64 / taking.as_secs_f64();
     let seconds = |duration: Duration| format!("{} s", short(duration.as_secs_f64()));
     vec![
         ("date", date()),

@@ -32,13 +32,17 @@ struct ShardKey {
     run: RunKey,
 }
 
-/// A word that this process alone adds to its unfinished files' names.
 static ATTEMPT: LazyLock<String> =
     LazyLock::new(|| format!("{:016x}", RandomState::new().hash_one(std::process::id())));
 
+/// A word that no other run has, for names of files.
+pub fn attempt() -> &'static str {
+    &ATTEMPT
+}
+
 /// The end of names of files that are not whole.
 pub fn unfinished() -> String {
-    format!(".{}.part", *ATTEMPT)
+    format!(".{}.part", attempt())
 }
 
 fn folder(out: &Path) -> PathBuf {
@@ -67,7 +71,7 @@ impl Shard {
             return Ok(None);
         };
         for frame in self.frames(&key.frames) {
-            match records.next()? {
+            match records.next::<FrameRecord>()? {
                 Some(record) if record.frame == frame => {}
                 _ => return Ok(None),
             }
@@ -197,7 +201,7 @@ fn shards_in(out: &Path) -> Result<u32> {
 }
 
 /// Numbers as `1,3-5`.
-fn ranges(numbers: &[u32]) -> String {
+pub fn ranges(numbers: &[u32]) -> String {
     let runs = numbers.chunk_by(|a, b| a + 1 == *b);
     let words = runs.map(|run| match run {
         [one] => one.to_string(),

@@ -2,6 +2,7 @@
 
 use super::reason::Warning;
 use crate::inspect::align::Alignment;
+use crate::inspect::bands::RegionVerdict;
 use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::uncertainty::UncertaintyStatistics;
@@ -37,6 +38,8 @@ pub struct ScanSummary {
     pub filters: Filters,
     /// Number of points with each flag.
     pub flags: BTreeMap<&'static str, usize>,
+    /// How points lie in the tolerance bands of each region; empty if the scene has none.
+    pub tolerance: Vec<RegionVerdict>,
     /// `null` if the scene does not ask for it or too few points were measured.
     pub alignment: Option<Alignment>,
     /// What was planned for the scene's tolerance, if it states one.

@@ -46,6 +46,9 @@ pub struct SceneFile {
     /// How the line is found in an image, and points from it.
     #[serde(default)]
     pub measure: MeasureTable,
+    /// Which deviations from the CAD the part may have.
+    #[serde(default)]
+    pub inspect: InspectTable,
     /// How exact the simulation is to be.
     #[serde(default)]
     pub accuracy: AccuracyTable,
@@ -491,6 +494,30 @@ impl Default for MeasureTable {
             resample_um: None,
         }
     }
+}
+
+/// Tolerance bands of deviations. A point passes or fails if it does so by two of its standard uncertainties, else it
+/// is unsure.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct InspectTable {
+    /// Lower and upper limit of the deviation, of all that is in no region. Default: none.
+    #[serde(deserialize_with = "optional_array")]
+    pub band_mm: Option<[f64; 2]>,
+    /// Regions by name; where boxes overlap the smallest counts.
+    pub regions: BTreeMap<String, RegionTable>,
+}
+
+/// A region of the part.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RegionTable {
+    /// A box along the axes of the part's frame: its lower and its upper corner.
+    #[serde(deserialize_with = "array")]
+    pub box_mm: [[f64; 3]; 2],
+    /// Lower and upper limit of the deviation. Default: those of `inspect`.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub band_mm: Option<[f64; 2]>,
 }
 
 /// An array of exactly `N`: serde itself takes the first `N` of a longer one.

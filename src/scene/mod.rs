@@ -3,6 +3,7 @@
 mod accept_table;
 mod data_sheet;
 mod file;
+mod inspect_table;
 mod keys;
 mod locate;
 mod measure;

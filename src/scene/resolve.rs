@@ -11,6 +11,7 @@ use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, InputError, Place, Result};
+use crate::inspect::bands::Band;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
@@ -116,6 +117,9 @@ pub struct Scene {
     /// From image to points.
     #[doc(hidden)]
     pub measure: Measure,
+    /// Which deviations regions of the part may have; empty where nobody says.
+    #[doc(hidden)]
+    pub bands: Vec<Band>,
     /// How the body moves, and how often a frame is taken.
     pub scan: ScanPath,
     /// What the measurement takes the sensor for; `None`: what it is.
@@ -204,6 +208,12 @@ impl Scene {
     pub(crate) fn of_same_part(&self, text: String) -> Result<Scene> {
         let source = Source::parse(&self.path, text)?;
         Scene::resolved(source, &self.path, &|_| Ok(()), Some(self))
+    }
+
+    /// The scene of another text in the same place, with a part of its own.
+    pub(crate) fn of_other_part(&self, text: String, watch: &Watch) -> Result<Scene> {
+        let source = Source::parse(&self.path, text)?;
+        Scene::resolved(source, &self.path, watch, None)
     }
 
     /// The scene with this exposure (ms), or as long a one as the frame rate lets it have.
@@ -358,6 +368,7 @@ impl Resolver<'_> {
                 align: file.measure.align,
                 filters,
             },
+            bands: self.bands(&file.inspect)?,
             scan,
             calibration,
             accept: file.accept,

@@ -73,7 +73,7 @@ pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Resu
         base: ready::simulation(&scene, Coverage::Footprint, control)?,
         recipe: &recipe,
     };
-    for (values, end) in recipe.ends().iter().zip(["lower", "upper"]) {
+    for (values, end) in recipe.draws.ends().iter().zip(["lower", "upper"]) {
         set.scene(values, 0, &format!("at the {end} ends of [draw]"))?;
     }
     files::create_folder(out)?;
@@ -123,7 +123,7 @@ fn job(recipe: &Recipe, scene: &Scene) -> String {
     let parts = [
         env!("CARGO_PKG_VERSION"),
         &scene.accel.version(),
-        &recipe.text,
+        &recipe.written.text,
         &scene.hash,
     ];
     let sum = checksum(parts.join("\n").as_bytes());

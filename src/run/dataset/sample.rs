@@ -1,12 +1,13 @@
 //! One sample of a data set: an image and all that is true of it, as files.
 
-use super::recipe::{Recipe, Values};
+use super::recipe::Recipe;
 use crate::error::{Error, Place, Result};
 use crate::frame::Sheet;
 use crate::math::Rigid;
 use crate::report::formats::{npy, npy_header};
 use crate::report::picture::encode_counts;
 use crate::run::error_model::camera_from_laser;
+use crate::run::recipe::Values;
 use crate::run::simulation::Simulation;
 use crate::scene::Scene;
 use serde::Serialize;
@@ -43,7 +44,7 @@ impl Set<'_> {
             .of_same_part(text)
             .map_err(|error| match error {
                 Error::Input(mut mistake) => {
-                    mistake.file = self.recipe.path.clone();
+                    mistake.file = self.recipe.written.path.clone();
                     mistake.place = Place::File;
                     mistake.found += &format!(" {sample}");
                     Error::Input(mistake)
@@ -54,7 +55,7 @@ impl Set<'_> {
 
     /// The files of a sample: endings and contents. They depend on recipe, scene and number alone.
     pub fn sample(&self, sample: u64) -> Result<Vec<(&'static str, Vec<u8>)>> {
-        let (values, seed) = (self.recipe.values(sample), self.recipe.seed(sample));
+        let (values, seed) = (self.recipe.draws.values(sample), self.recipe.seed(sample));
         let scene = self.scene(&values, seed, &format!("in sample {sample}"))?;
         let simulation = self.base.of_same_part(&scene)?;
         let frame = self.recipe.frame(sample, scene.scan.frames);
@@ -72,7 +73,7 @@ impl Set<'_> {
         let text = self.recipe.text_with(&self.text, &values, seed)?;
         // Memory takes no disk, so nothing fails here.
         let truth = truth(&simulation, frame, |out| npy(out, &points))
-            .map_err(Error::io("write the truth of", &self.recipe.path))?;
+            .map_err(Error::io("write the truth of", &self.recipe.written.path))?;
         Ok(vec![
             (
                 "json",

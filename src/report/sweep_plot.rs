@@ -1,0 +1,196 @@
+//! Figures of a sweep over what was varied.
+
+use super::axes::{Axes, Axis, Mark, legend};
+use super::color::css;
+use super::svg::Svg;
+
+/// One plot.
+pub struct Panel<'a> {
+    /// What is varied, or another figure.
+    pub x: &'a str,
+    /// The figure.
+    pub y: &'a str,
+    /// Names of 0, 1, 2, … where what is varied is no number.
+    pub words: Vec<String>,
+    /// Whether points of a curve belong together.
+    pub joined: bool,
+    pub curves: Vec<Curve>,
+}
+
+/// Points of the same other values, in the order of their x.
+pub struct Curve {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+    /// Where there is no such figure.
+    pub gaps: Vec<f64>,
+}
+
+/// Told apart by people who do not tell red from green (Wong 2011).
+const COLOURS: [[u8; 3]; 7] = [
+    [0, 114, 178],
+    [213, 94, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [86, 180, 233],
+    [230, 159, 0],
+    [0, 0, 0],
+];
+const NONE: &str = "fill='none' stroke='#888' stroke-width='1.5'";
+const WIDTH: f64 = 820.0;
+const HEIGHT: f64 = 240.0;
+const LINE: f64 = 18.0;
+
+/// All panels below each other.
+pub fn sweep_plot(headline: [&str; 2], panels: &[Panel]) -> String {
+    let heights = panels
+        .iter()
+        .map(|panel| HEIGHT + 90.0 + LINE * entries(panel).len() as f64);
+    let height = 70.0 + heights.sum::<f64>();
+    let mut svg = Svg::file([WIDTH + 120.0, height], 12.0);
+    svg.text(
+        [80.0, 30.0],
+        "font-size='17' font-weight='bold'",
+        headline[0],
+    );
+    svg.text([80.0, 50.0], "", headline[1]);
+    let mut top = 90.0;
+    for panel in panels {
+        draw(&mut svg, panel, top);
+        let entries = entries(panel);
+        let shown: Vec<(Mark, &str, &str)> = entries
+            .iter()
+            .map(|(mark, style, name)| (*mark, style.as_str(), name.as_str()))
+            .collect();
+        legend(&mut svg, [80.0, top + HEIGHT + 60.0], [0.0, LINE], &shown);
+        top += HEIGHT + 90.0 + LINE * shown.len() as f64;
+    }
+    svg.finish()
+}
+
+/// The colour of a curve; grey where there are more than can be told apart.
+fn colour(panel: &Panel, i: usize) -> String {
+    match panel.curves.len() <= COLOURS.len() {
+        true => css(COLOURS[i]),
+        false => "#557".to_owned(),
+    }
+}
+
+fn entries(panel: &Panel) -> Vec<(Mark, String, String)> {
+    let named = (2..=COLOURS.len()).contains(&panel.curves.len());
+    let curves = panel.curves.iter().enumerate().filter(|_| named);
+    let mut entries: Vec<(Mark, String, String)> = curves
+        .map(|(i, curve)| {
+            (
+                Mark::Dot,
+                format!("fill='{}'", colour(panel, i)),
+                curve.name.clone(),
+            )
+        })
+        .collect();
+    if panel.curves.iter().any(|curve| !curve.gaps.is_empty()) {
+        let about = format!("no {}: refused, or nothing measured", panel.y);
+        entries.push((Mark::Diamond, NONE.to_owned(), about));
+    }
+    entries
+}
+
+fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
+    let points = || panel.curves.iter().flat_map(|curve| &curve.points);
+    let gaps = panel.curves.iter().flat_map(|curve| &curve.gaps);
+    let mut xs: Vec<f64> = points().map(|&(x, _)| x).chain(gaps.copied()).collect();
+    xs.sort_by(f64::total_cmp);
+    xs.dedup();
+    let ys: Vec<f64> = points().map(|&(_, y)| y).collect();
+    let axes = Axes {
+        frame: [80.0, top, WIDTH, HEIGHT],
+        beyond: [0.0; 2],
+        title: panel.y,
+        x: match panel.words.is_empty() {
+            false => Axis::named(panel.x, &panel.words),
+            true if geometric(&xs) => {
+                let margin = (xs[xs.len() - 1] / xs[0]).powf(0.03);
+                Axis::logarithmic(panel.x, [xs[0] / margin, xs[xs.len() - 1] * margin])
+            }
+            true => Axis::linear(panel.x, ends(&xs, false)),
+        },
+        y: Axis::linear("", ends(&ys, true)),
+    };
+    axes.draw(svg);
+    for (i, curve) in panel.curves.iter().enumerate() {
+        let colour = colour(panel, i);
+        if panel.joined {
+            let style = format!("stroke='{colour}' stroke-width='1.5'");
+            axes.curve(svg, curve.points.iter().copied(), &style);
+        }
+        for &(x, y) in &curve.points {
+            Mark::Dot.draw(svg, axes.at(x, y), &format!("fill='{colour}'"));
+        }
+        for &x in &curve.gaps {
+            let at = [axes.at(x, 0.0)[0], top + HEIGHT];
+            Mark::Diamond.draw(svg, at, NONE);
+        }
+    }
+}
+
+/// Whether these numbers, in order, are spread by ratios rather than by differences.
+fn geometric(xs: &[f64]) -> bool {
+    let [first, .., last] = xs else { return false };
+    let middle = xs[xs.len() / 2];
+    let [even, by_ratio] = [(first + last) / 2.0, (first * last).max(0.0).sqrt()];
+    xs.len() > 2 && *first > 0.0 && last / first >= 3.0 && middle < (even + by_ratio) / 2.0
+}
+
+/// Where an axis of these numbers ends; at 0 if `from_zero` and that is not far below them.
+fn ends(values: &[f64], from_zero: bool) -> [f64; 2] {
+    let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    if low > high {
+        return [0.0, 1.0];
+    }
+    let margin = match high - low {
+        0.0 => 0.5 * high.abs().max(1e-9),
+        span => 0.06 * span,
+    };
+    match from_zero && low >= 0.0 && low < 0.7 * high {
+        true => [0.0, high + margin],
+        false => [low - margin, high + margin],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_follow_how_numbers_are_spread() {
+        assert!(geometric(&[4.0, 5.6, 8.0, 11.0, 16.0]));
+        assert!(!geometric(&[10.0, 20.0, 30.0, 40.0]) && !geometric(&[-1.0, 1.0, 9.0]));
+        assert!(!geometric(&[1.0, 9.0]) && !geometric(&[]));
+        assert_eq!(ends(&[1.0, 3.0], true), [0.0, 3.12]);
+        assert_eq!(ends(&[], true), [0.0, 1.0]);
+        assert_eq!(ends(&[4.0], false), [2.0, 6.0]);
+    }
+
+    /// A word or a name with a mark of its own cannot break the picture.
+    #[test]
+    fn each_point_and_gap_is_drawn_and_names_are_escaped() {
+        let curve = |name: &str, gaps: &[f64]| Curve {
+            name: name.into(),
+            points: vec![(1.0, 2.0), (2.0, 3.0)],
+            gaps: gaps.to_vec(),
+        };
+        let panel = Panel {
+            x: "camera.f_number",
+            y: "deviation.std_um",
+            words: vec![],
+            joined: true,
+            curves: vec![curve("a <b>", &[]), curve("c", &[3.0])],
+        };
+        let svg = sweep_plot(["scene", "4 places"], &[panel]);
+        // Four points and two entries of the legend; one gap and its entry.
+        assert_eq!(svg.matches("<circle").count(), 6);
+        assert_eq!(svg.matches("<polygon").count(), 2);
+        assert_eq!(svg.matches("<polyline").count(), 2);
+        assert!(!svg.contains("<b>"), "{svg}");
+    }
+}

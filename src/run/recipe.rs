@@ -1,0 +1,266 @@
+//! What data sets and sweeps have in common: a file that names a scene and which of its values differ, set by
+//! dotted key or drawn.
+
+use crate::error::{Error, InputError, Place, Result};
+use crate::math::rng::{Key, Purpose};
+use crate::scene::set_value;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use toml::{Spanned, Value};
+
+/// Values of a scene, by dotted key.
+pub type Values = BTreeMap<String, Value>;
+
+/// Keys that decide which hierarchy is built, and what of it is read.
+const PART: [&str; 7] = [
+    "part.mesh",
+    "part.plane",
+    "part.sphere",
+    "part.cylinder",
+    "part.step_block",
+    "part.copies",
+    "plan.accel",
+];
+
+/// Which of these keys, if any, a key is or lies below or above.
+pub fn part_key(key: &str) -> Option<&'static str> {
+    let below = |a: &str, b: &str| {
+        let rest = a.strip_prefix(b);
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+    };
+    PART.into_iter()
+        .find(|part| below(key, part) || below(part, key))
+}
+
+/// A file as it is written, for mistakes in it.
+pub struct Written {
+    pub path: PathBuf,
+    pub text: String,
+}
+
+impl Written {
+    /// Reads a file of TOML. Errors: it cannot be read; it is not what is `expected`.
+    pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<(Written, T)> {
+        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let path = path.to_owned();
+        let written = Written { path, text };
+        match toml::from_str(&written.text) {
+            Ok(file) => Ok((written, file)),
+            Err(error) => {
+                let at = error.span().map(|span| span.start);
+                let found = error.message().replace('\n', "; ");
+                Err(written.wrong(at, None, &found, expected))
+            }
+        }
+    }
+
+    /// A mistake at a byte of the file.
+    pub fn wrong(
+        &self,
+        at: Option<usize>,
+        key: Option<&str>,
+        found: &str,
+        expected: &str,
+    ) -> Error {
+        let line = |at: usize| {
+            let before = self.text.as_bytes().iter().take(at);
+            Place::Line(1 + before.filter(|&&byte| byte == b'\n').count())
+        };
+        let place = at.map_or(Place::File, line);
+        let mut error = InputError::new(&self.path, place, found, expected);
+        error.key = key.map(str::to_owned);
+        error.into()
+    }
+
+    /// A file that it names.
+    pub fn beside(&self, file: &str) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("")).join(file)
+    }
+
+    /// The text of a scene with other values. Errors: what of them cannot be set.
+    pub fn text_with<'a>(
+        &self,
+        scene: &Value,
+        values: impl IntoIterator<Item = (&'a String, &'a Value)>,
+    ) -> Result<String> {
+        let mut changed = scene.clone();
+        for (key, value) in values {
+            set_value(&mut changed, key, Some(value.clone())).map_err(|message| {
+                let found = message
+                    .strip_prefix(&format!("{key}: "))
+                    .unwrap_or(&message);
+                let found = found.strip_prefix("found ").unwrap_or(found);
+                self.wrong(None, Some(key), found, "a key of the scene")
+            })?;
+        }
+        Ok(toml::to_string(&changed).expect("a scene was TOML"))
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DrawTable {
+    from: Option<Value>,
+    to: Option<Value>,
+    #[serde(default)]
+    scale: Scale,
+    one_of: Option<Vec<Value>>,
+}
+
+/// In what numbers are spread evenly.
+#[derive(Deserialize, Clone, Copy, Default, PartialEq)]
+#[serde(rename_all = "lowercase")]
+pub enum Scale {
+    #[default]
+    Linear,
+    Log,
+}
+
+impl Scale {
+    /// What lies at this share of the way between two numbers.
+    pub fn between(self, from: f64, to: f64, share: f64) -> f64 {
+        let between = match self {
+            Scale::Linear => from + share * (to - from),
+            Scale::Log => from * (to / from).powf(share),
+        };
+        between.clamp(from, to)
+    }
+}
+
+/// How values of a scene are drawn.
+pub struct Draws {
+    seed: u64,
+    draws: BTreeMap<String, Draw>,
+}
+
+impl Draws {
+    /// Errors: a mistake in a table, with its place; a key that `refused` gives a reason against: what was found and
+    /// what was expected.
+    pub fn of(
+        written: &Written,
+        seed: u64,
+        tables: BTreeMap<String, Spanned<DrawTable>>,
+        refused: impl Fn(&str) -> Option<(String, &'static str)>,
+    ) -> Result<Draws> {
+        let mut draws = BTreeMap::new();
+        for (key, table) in tables {
+            let at = table.span().start;
+            let draw = match refused(&key) {
+                Some(refused) => Err(refused),
+                None => Draw::of(table.into_inner()),
+            };
+            let draw = draw.map_err(|(found, expected)| {
+                written.wrong(Some(at), Some(&key), &found, expected)
+            })?;
+            draws.insert(key, draw);
+        }
+        Ok(Draws { seed, draws })
+    }
+
+    pub fn keys(&self) -> impl Iterator<Item = &String> {
+        self.draws.keys()
+    }
+
+    /// Of what is called `name` in a sample; what else is drawn does not change it.
+    pub fn key(&self, sample: u64, name: &str) -> Key {
+        let key = Key::new(self.seed, Purpose::Samples).with(sample);
+        name.bytes().fold(key, |key, byte| key.with(byte.into()))
+    }
+
+    /// The values of a sample.
+    pub fn values(&self, sample: u64) -> Values {
+        let draws = self.draws.iter();
+        let drawn = draws.map(|(key, draw)| {
+            let of = self.key(sample, key);
+            (key.clone(), draw.at(|i| of.uniform(i)))
+        });
+        drawn.collect()
+    }
+
+    /// The values at the lower and the upper ends of what is drawn.
+    pub fn ends(&self) -> [Values; 2] {
+        [0.0, 1.0].map(|place| {
+            let draws = self.draws.iter();
+            let at = draws.map(|(key, draw)| (key.clone(), draw.at(|_| place)));
+            at.collect()
+        })
+    }
+}
+
+/// How one value of the scene is drawn.
+enum Draw {
+    OneOf(Vec<Value>),
+    /// Evenly between two numbers, or between those of two lists in their order.
+    Between {
+        ends: Vec<(f64, f64)>,
+        list: bool,
+        scale: Scale,
+    },
+}
+
+impl Draw {
+    /// Errors: what was found and what was expected.
+    fn of(table: DrawTable) -> std::result::Result<Draw, (String, &'static str)> {
+        const KINDS: &str = "{ from = 1, to = 2 }, with numbers or lists of as many numbers, or \
+                             { one_of = [1, 2] }";
+        match (table.from, table.to, table.one_of) {
+            (None, None, Some(values)) if !values.is_empty() => Ok(Draw::OneOf(values)),
+            (Some(from), Some(to), None) => {
+                let list = from.is_array();
+                let alike = list == to.is_array();
+                let written = format!("from = {from}, to = {to}");
+                let (from, to) = match (numbers(&from), numbers(&to)) {
+                    (Some(from), Some(to)) if alike && from.len() == to.len() => (from, to),
+                    _ => return Err((written, KINDS)),
+                };
+                let ends: Vec<(f64, f64)> = from.into_iter().zip(to).collect();
+                if ends
+                    .iter()
+                    .any(|&(from, to)| !(from <= to && (to - from).is_finite()))
+                {
+                    return Err((written, "finite numbers, from not above to"));
+                }
+                let scale = table.scale;
+                if scale == Scale::Log && ends.iter().any(|&(from, _)| from <= 0.0) {
+                    return Err((written, "numbers above 0 for scale = \"log\""));
+                }
+                Ok(Draw::Between { ends, list, scale })
+            }
+            _ => Err(("other keys".to_owned(), KINDS)),
+        }
+    }
+
+    /// The value for uniform numbers from 0 to 1.
+    fn at(&self, uniform: impl Fn(u64) -> f64) -> Value {
+        let (ends, list, scale) = match self {
+            Draw::OneOf(values) => {
+                let i = (uniform(0) * values.len() as f64) as usize;
+                return values[i.min(values.len() - 1)].clone();
+            }
+            Draw::Between { ends, list, scale } => (ends, list, scale),
+        };
+        let number = |(i, &(from, to)): (usize, &(f64, f64))| {
+            let share = uniform(i as u64);
+            Value::Float(scale.between(from, to, share))
+        };
+        let mut numbers = ends.iter().enumerate().map(number);
+        match list {
+            true => Value::Array(numbers.collect()),
+            false => numbers.next().expect("a number has one"),
+        }
+    }
+}
+
+/// A number, or the numbers of a list.
+fn numbers(value: &Value) -> Option<Vec<f64>> {
+    match value {
+        Value::Array(list) => list.iter().map(one_number).collect(),
+        one => Some(vec![one_number(one)?]),
+    }
+}
+
+pub fn one_number(value: &Value) -> Option<f64> {
+    value.as_float().or(value.as_integer().map(|i| i as f64))
+}

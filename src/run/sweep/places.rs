@@ -1,0 +1,234 @@
+//! What a sweep goes through: a scene, and the values it has at each place.
+
+use crate::error::Result;
+use crate::run::recipe::{DrawTable, Draws, Scale, Values, Written, one_number, part_key};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::Path;
+use toml::{Spanned, Value};
+
+/// The sweep's file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SweepFile {
+    scene: String,
+    frames: Option<Spanned<String>>,
+    #[serde(default)]
+    grid: BTreeMap<String, Spanned<Value>>,
+    #[serde(default)]
+    list: Vec<Spanned<Values>>,
+    #[serde(default)]
+    draw: BTreeMap<String, Spanned<DrawTable>>,
+    draws: Option<u64>,
+    #[serde(default)]
+    seed: u64,
+}
+
+/// Numbers spread evenly.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Even {
+    from: f64,
+    to: f64,
+    count: u32,
+    #[serde(default)]
+    scale: Scale,
+}
+
+const MOST_PLACES: u64 = 1_000_000;
+
+/// A sweep's places: those of the grid, and at each of these those of the list, and at each of these the draws.
+pub struct Places {
+    pub written: Written,
+    /// The scene's file as the sweep's names it.
+    pub scene: String,
+    pub frames: Option<Range<u32>>,
+    grid: Vec<(String, Vec<Value>)>,
+    list: Vec<Values>,
+    draws: Draws,
+    draws_count: u64,
+}
+
+impl Places {
+    /// Errors: a file that cannot be read; a mistake in it, with its place.
+    pub fn read(path: &Path) -> Result<Places> {
+        let expected = "a sweep: scene = \"scene.toml\", and [grid] \"camera.f_number\" = [4, 8], \
+                        [[list]] or [draw]";
+        let (written, file) = Written::read::<SweepFile>(path, expected)?;
+        let frames = match &file.frames {
+            None => None,
+            Some(text) => {
+                let number = |text: &str| text.parse::<u32>().ok();
+                let ends = text.get_ref().split_once("..");
+                let range = ends.and_then(|(a, b)| Some(number(a)?..number(b)?));
+                let wrong = || {
+                    let (at, found) = (text.span().start, format!("{:?}", text.get_ref()));
+                    written.wrong(
+                        Some(at),
+                        Some("frames"),
+                        &found,
+                        "two frame numbers: \"10..20\"",
+                    )
+                };
+                Some(range.ok_or_else(wrong)?)
+            }
+        };
+        let mut grid = Vec::new();
+        for (key, axis) in file.grid {
+            let at = axis.span().start;
+            let values = along(axis.into_inner()).map_err(|(found, expected)| {
+                written.wrong(Some(at), Some(&key), &found, expected)
+            })?;
+            grid.push((key, values));
+        }
+        let mut list = Vec::new();
+        for entry in file.list {
+            let at = entry.span().start;
+            let first = list.first().unwrap_or(entry.get_ref());
+            if first.keys().ne(entry.get_ref().keys()) {
+                let found = "other keys than in the first";
+                let expected = "the same keys in every [[list]]";
+                return Err(written.wrong(Some(at), Some("list"), found, expected));
+            }
+            list.push(entry.into_inner());
+        }
+        let draws = Draws::of(&written, file.seed, file.draw, |_| None)?;
+        let drawn = draws.keys().next().is_some();
+        if drawn != file.draws.is_some() {
+            let found = if drawn {
+                "none"
+            } else {
+                "draws without [draw]"
+            };
+            let expected = "a number of draws beside what is drawn: draws = 100, [draw] …";
+            return Err(written.wrong(None, Some("draws"), found, expected));
+        }
+        let places = Places {
+            scene: file.scene,
+            frames,
+            grid,
+            list,
+            draws,
+            draws_count: file.draws.unwrap_or(1),
+            written,
+        };
+        places.check()?;
+        Ok(places)
+    }
+
+    fn check(&self) -> Result<()> {
+        let wrong = |key: &str, found: &str, expected: &str| {
+            Err(self.written.wrong(None, Some(key), found, expected))
+        };
+        let keys = self.keys();
+        if let Some(pair) = keys.windows(2).find(|pair| pair[0] == pair[1]) {
+            return wrong(
+                pair[0],
+                "it twice",
+                "each key once in [grid], [[list]] and [draw]",
+            );
+        }
+        if keys.is_empty() {
+            let expected = "[grid] \"camera.f_number\" = [4, 8], [[list]] or [draw]";
+            return wrong("grid", "nothing to vary", expected);
+        }
+        let counts = self.grid.iter().map(|(_, values)| values.len() as u64);
+        let counts = counts.chain([self.list.len().max(1) as u64, self.draws_count]);
+        let all = counts.fold(1u64, u64::saturating_mul);
+        if !(1..=MOST_PLACES).contains(&all) {
+            return wrong("grid", &format!("{all} places"), "from 1 to 1e6 of them");
+        }
+        Ok(())
+    }
+
+    /// All that varies, in alphabetical order.
+    pub fn keys(&self) -> Vec<&str> {
+        let grid = self.grid.iter().map(|(key, _)| key);
+        let list = self.list.first().into_iter().flat_map(Values::keys);
+        let mut keys: Vec<&str> = grid
+            .chain(list)
+            .chain(self.draws.keys())
+            .map(String::as_str)
+            .collect();
+        keys.sort_unstable();
+        keys
+    }
+
+    /// What is drawn: never twice the same.
+    pub fn is_drawn(&self, key: &str) -> bool {
+        self.draws.keys().any(|drawn| drawn == key)
+    }
+
+    /// What changes together with other values.
+    pub fn is_listed(&self, key: &str) -> bool {
+        self.list
+            .first()
+            .is_some_and(|first| first.contains_key(key))
+    }
+
+    pub fn count(&self) -> u64 {
+        let grid: u64 = self.grid.iter().map(|(_, v)| v.len() as u64).product();
+        grid * self.list.len().max(1) as u64 * self.draws_count
+    }
+
+    /// The values at a place: draws change from each to the next, then the list, then the grid from its last key on.
+    pub fn values(&self, place: u64) -> Values {
+        let mut values = self.draws.values(place % self.draws_count);
+        let mut rest = place / self.draws_count;
+        let mut digit = |count: usize| {
+            let digit = rest % count as u64;
+            rest /= count as u64;
+            digit as usize
+        };
+        if !self.list.is_empty() {
+            values.extend(self.list[digit(self.list.len())].clone());
+        }
+        for (key, axis) in self.grid.iter().rev() {
+            values.insert(key.clone(), axis[digit(axis.len())].clone());
+        }
+        values
+    }
+}
+
+/// Those of the values that make the part another.
+pub fn of_part(values: &Values) -> Values {
+    let part = values.iter().filter(|(key, _)| part_key(key).is_some());
+    part.map(|(key, value)| (key.clone(), value.clone()))
+        .collect()
+}
+
+/// The values along one side of the grid. Errors: what was found and what was expected.
+fn along(axis: Value) -> std::result::Result<Vec<Value>, (String, &'static str)> {
+    const KINDS: &str = "a list of values, [4, 5.6, 8], or { from = 1, to = 20, count = 8 }, with scale = \"log\" \
+                         for even ratios";
+    let whole = |value: &Value| one_number(value).is_some_and(|number| number.fract() == 0.0);
+    let written = axis.to_string();
+    let even: Even = match axis {
+        Value::Array(values) if !values.is_empty() => return Ok(values),
+        Value::Table(_) => axis.try_into().map_err(|_| (written.clone(), KINDS))?,
+        _ => return Err((written, KINDS)),
+    };
+    let Even {
+        from,
+        to,
+        count,
+        scale,
+    } = even;
+    let finite = (to - from).is_finite() && from < to && (2..=100_000).contains(&count);
+    if !finite || scale == Scale::Log && from <= 0.0 {
+        let expected =
+            "from below to, finite, above 0 for scale = \"log\", and count from 2 to 1e5";
+        return Err((written, expected));
+    }
+    let value = |i: u32| {
+        let number = scale.between(from, to, f64::from(i) / f64::from(count - 1));
+        // Keys that take whole numbers alone.
+        let value = Value::Integer(number as i64);
+        match whole(&Value::Float(number)) && number.abs() < 1e15 {
+            true => value,
+            false => Value::Float(number),
+        }
+    };
+    Ok((0..count).map(value).collect())
+}

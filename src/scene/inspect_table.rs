@@ -1,0 +1,59 @@
+//! From the scene's tolerance bands to those of the inspection.
+
+use super::file::InspectTable;
+use super::resolver::Resolver;
+use crate::error::Result;
+use crate::inspect::bands::Band;
+use crate::math::{Aabb, DVec3};
+
+impl Resolver<'_> {
+    /// The rest of the part first.
+    pub(super) fn bands(&self, table: &InspectTable) -> Result<Vec<Band>> {
+        let mut bands = Vec::new();
+        if let Some(limits) = table.band_mm {
+            bands.push(Band {
+                name: "part".to_owned(),
+                within: None,
+                limits: self.limits(limits, "inspect.band_mm")?,
+            });
+        }
+        for (name, region) in &table.regions {
+            let key = |of: &str| format!("inspect.regions.{name}.{of}");
+            let [lower, upper] = region.box_mm;
+            self.lengths(lower, &key("box_mm"))?;
+            self.lengths(upper, &key("box_mm"))?;
+            let ordered = lower.iter().zip(&upper).all(|(a, b)| a < b);
+            self.check(
+                ordered,
+                &key("box_mm"),
+                "a lower corner and an upper one: [[-5, -5, 0], [5, 5, 20]]",
+            )?;
+            self.check(
+                name != "part" || table.band_mm.is_none(),
+                &format!("inspect.regions.{name}"),
+                "another name; part is what lies in no region",
+            )?;
+            let limits = match (region.band_mm, table.band_mm) {
+                (Some(limits), _) => self.limits(limits, &key("band_mm"))?,
+                (None, Some(limits)) => limits,
+                (None, None) => return Err(self.source.missing(&key("band_mm"))),
+            };
+            bands.push(Band {
+                name: name.clone(),
+                within: Some(Aabb::of([lower, upper].map(DVec3::from))),
+                limits,
+            });
+        }
+        Ok(bands)
+    }
+
+    fn limits(&self, limits: [f64; 2], key: &str) -> Result<[f64; 2]> {
+        let [lower, upper] = self.lengths(limits, key)?;
+        self.check(
+            lower < upper,
+            key,
+            "a lower limit and an upper one above it: [-0.05, 0.05]",
+        )?;
+        Ok(limits)
+    }
+}
