@@ -64,7 +64,11 @@ fn work(folder: &JobFolder) -> Result<u8> {
                 exit_code: super::exit_code(&done),
                 again: full || matches!(done, Err(Some(Error::Interrupted | Error::Busy(_)))),
                 full,
-                message: None,
+                // The command's own words may have found no room.
+                message: match &done {
+                    Err(Some(error)) if full => Some(error.to_string()),
+                    _ => None,
+                },
             }
         }
         Err(error) => Outcome {

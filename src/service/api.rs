@@ -62,6 +62,10 @@ pub fn router(service: Arc<Service>) -> Router {
         .routes(routes!(readyz))
         .routes(routes!(metrics_page))
         .split_for_parts();
+    // Axum's sign for a path of several names is none of OpenAPI's.
+    let paths = std::mem::take(&mut api.paths.paths).into_iter();
+    let plain = paths.map(|(path, item)| (path.replace("{*", "{"), item));
+    api.paths.paths = plain.collect();
     api.info.version = env!("CARGO_PKG_VERSION").to_owned();
     let page = Bytes::from(api.to_pretty_json().expect("the description is JSON"));
     let json = [(header::CONTENT_TYPE, "application/json")];
@@ -365,7 +369,10 @@ async fn post_job(
         .get(header::CONTENT_TYPE)
         .and_then(|value| value.to_str().ok());
     if found.and_then(|text| text.split(';').next()).map(str::trim) != Some(media) {
-        let message = format!("found the content type {found:?}, expected {media}");
+        let message = format!(
+            "found the content type {:?}, expected {media}",
+            found.unwrap_or("")
+        );
         return Err(Refusal::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, message));
     }
     if asked.kind == Kind::Sweep && !service.settings.sweeps {
@@ -501,7 +508,7 @@ async fn list_results(
 }
 
 /// A file of a job's results, or the part of it that the header Range names.
-#[utoipa::path(get, path = "/v1/jobs/{id}/files/{path}",
+#[utoipa::path(get, path = "/v1/jobs/{id}/files/{*path}",
     params(("id" = String, Path), ("path" = String, Path, description = "As the list of files has it"),
         ("range" = Option<String>, Header)),
     responses((status = 200, content_type = "application/octet-stream"),

@@ -22,6 +22,7 @@ mod store;
 mod upload;
 mod workers;
 
+pub use connections::accept;
 pub use guard::Guard;
 pub use job_folder::Limits;
 pub(crate) use job_folder::{JobFolder, Outcome, Progress};

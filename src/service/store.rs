@@ -86,6 +86,20 @@ impl Store {
         JobFolder(self.folder.join("jobs").join(id))
     }
 
+    /// Keeps some room for what the service itself must write when jobs have filled the disk. Best effort: it
+    /// is kept again as soon as there is some.
+    pub fn keep_room(&self) {
+        let path = self.folder.join("room");
+        if !path.exists() {
+            let _ = files::write_bytes(&path, &[1; 1 << 20]);
+        }
+    }
+
+    /// Lets the service write, now that the disk is full.
+    pub fn give_room(&self) {
+        let _ = files::remove(&self.folder.join("room"));
+    }
+
     /// Bytes that may still be written; `None` where the system does not say.
     pub fn free(&self) -> Option<u64> {
         let all = rustix::fs::statvfs(&self.folder).ok()?;

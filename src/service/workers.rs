@@ -23,7 +23,7 @@ use tracing::{info, warn};
 /// Processes of a job that may die without a word before it counts as failed.
 const DEATHS: u32 = 3;
 /// Bytes that must have become free before a job that found the disk full goes on.
-const ROOM: u64 = 1 << 20;
+const ROOM: u64 = 4 << 20;
 /// Time after which it is tried again all the same: another process may have taken the room.
 const FULL: Duration = Duration::from_secs(60);
 /// Time after its limit in which a job's process ends by itself.
@@ -113,6 +113,7 @@ pub async fn schedule(service: Arc<Service>) {
         let job = loop {
             let stopping = service.workers.stopping.load(Relaxed);
             if !stopping && service.workers.has_room(service.store.free()) {
+                service.store.keep_room();
                 match service.jobs.take().await {
                     Ok(Some(job)) => break job,
                     Ok(None) => {}
@@ -284,7 +285,10 @@ fn task(service: &Service, request: &super::jobs::Request) -> Task {
 /// Writes down what became of a job; false if it was deleted meanwhile.
 async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result<Left>) -> bool {
     let (state, code, message) = match left {
-        Ok(Left::Outcome(outcome)) if outcome.again => waits(service, folder, outcome.full),
+        Ok(Left::Outcome(outcome)) if outcome.again => {
+            let said = outcome.message.or_else(|| said(folder));
+            waits(service, said, outcome.full)
+        }
         Ok(Left::Outcome(outcome)) => {
             let state = match outcome.exit_code {
                 0 => State::Done,
@@ -295,7 +299,7 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         }
         // So a process ends that finds no room even for its outcome.
         Ok(Left::Died(Some(status))) if status.code() == Some(75) && is_full(service) => {
-            waits(service, folder, true)
+            waits(service, None, true)
         }
         // The system refused memory: it was no mistake of the job's to be tried again.
         Ok(Left::Died(Some(status))) if status.code() == Some(75) && said(folder).is_none() => {
@@ -324,6 +328,7 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         Ok(Left::Killed) => overdue(),
         Err(error) => match error.exit_code() {
             75 => {
+                service.store.give_room();
                 service.workers.found_full(service.store.free());
                 (
                     State::Queued,
@@ -351,11 +356,16 @@ fn is_full(service: &Service) -> bool {
 }
 
 /// A job that was interrupted, or found the disk full, waits.
-fn waits(service: &Service, folder: &JobFolder, full: bool) -> (State, Option<u8>, Option<String>) {
+fn waits(
+    service: &Service,
+    said: Option<String>,
+    full: bool,
+) -> (State, Option<u8>, Option<String>) {
     if full {
+        service.store.give_room();
         service.workers.found_full(service.store.free());
     }
-    let said = said(folder).unwrap_or_else(|| "the disk is full".to_owned());
+    let said = said.unwrap_or_else(|| "the disk is full".to_owned());
     (
         State::Queued,
         None,

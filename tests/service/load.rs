@@ -56,7 +56,7 @@ fn load(jobs: usize) {
             if early.is_none() && done >= jobs / 5 && next.load(Relaxed) >= 2 * jobs {
                 early = Some(memory());
             }
-            if done >= jobs {
+            if done >= jobs && early.is_some() {
                 break;
             }
             assert!(Instant::now() < end, "{done} of {jobs} are done");
@@ -91,14 +91,18 @@ fn load(jobs: usize) {
     let p99 = times[times.len() * 99 / 100];
     println!(
         "{jobs} jobs from {CLIENTS} clients, each sent twice: none lost, none twice; p99 of {} requests \
-         {:.1} ms; memory grew by {:.0} kB over the last four fifths, whose results are {:.0} kB",
+         {:.1} ms; memory grew by {:.0} kB after a fifth of them, four fifths of the results are {:.0} kB",
         times.len(),
         p99.as_secs_f64() * 1e3,
         grown / 1e3,
         0.8 * bytes as f64 / 1e3
     );
     // What passes through does not stay: a tenth of the results would show it.
-    assert!(grown < (0.08 * bytes as f64).max(1e6), "{grown} of {bytes}");
+    // Of few jobs it would not show beside what the first requests take.
+    assert!(
+        jobs < 500 || grown < 0.08 * bytes as f64,
+        "{grown} of {bytes}"
+    );
 }
 
 #[test]
