@@ -169,6 +169,7 @@
       const bytes = await (await get("final", query, own.signal)).arrayBuffer();
       if (last !== own) return;
       drawn = Math.max(drawn, number);
+      clearInterval(waits);
       show(bytes);
       say(`Final picture: the bytes that render makes; ${Math.round(performance.now() - start)} ms.`, "final");
       byId("save").href = `scene.toml?${query}`;
