@@ -172,6 +172,7 @@ impl<'m> Part<'m> {
             sampling: setup.sampling,
             cutoff_radii: setup.cutoff_radii,
             lens: LensBlur::NONE,
+            indirect: None,
         };
         same(
             &irradiance(&view, &Region::All).dense(),

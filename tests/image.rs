@@ -71,6 +71,7 @@ impl Setup {
             sampling: Sampling::Planes,
             cutoff_radii: CUTOFF_RADII,
             lens: LensBlur::NONE,
+            indirect: None,
         };
         irradiance(&view, &Region::All).dense()
     }

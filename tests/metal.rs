@@ -87,6 +87,7 @@ impl Setup {
                 reach: if blur == Blur::None { 0 } else { 128 },
                 line_sigma: 1.0,
             },
+            indirect: None,
         };
         let lit = irradiance(&view, &Region::Lit(&clusters)).dense();
         assert!(lit == irradiance(&view, &Region::All).dense());

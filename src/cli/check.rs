@@ -152,6 +152,7 @@ fn surface(surface: &Surface) -> String {
                 let (n, k) = (short(metal.n), short(metal.k));
                 format!("metal of n = {n}, k = {k}, {}", rough(&metal.facets))
             }
+            Lobe::Mirror(mirror) => format!("mirror, reflectance {}", short(mirror.reflectance)),
             Lobe::Coat(coat) => {
                 let (index, reflectance) = (short(coat.index), short(coat.reflectance));
                 let rough = rough(&coat.facets);

@@ -60,6 +60,7 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
             reach: 128,
             line_sigma: 2.0,
         },
+        indirect: None,
     };
     then(&view, &clusters);
 }

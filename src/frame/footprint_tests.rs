@@ -40,6 +40,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         sampling: Sampling::Planes,
         cutoff_radii: crate::laser::CUTOFF_RADII,
         lens: LensBlur::NONE,
+        indirect: None,
     };
     footprint(&view, &Region::Lit(&Clusters::new(mesh)))
 }

@@ -6,7 +6,7 @@ use glam::UVec2;
 /// Irradiance on the sensor averaged over each pixel, mW/mm².
 #[derive(Debug, Clone, PartialEq)]
 pub struct Irradiance {
-    rows: Rows,
+    pub(super) rows: Rows,
     /// Of those pixels, row by row.
     values: Vec<f32>,
 }
@@ -18,15 +18,39 @@ impl Irradiance {
         Irradiance { rows, values }
     }
 
+    /// No light.
+    pub(super) fn dark(resolution: UVec2) -> Irradiance {
+        Irradiance::new(Rows::new(Pixels::none(resolution)), Vec::new())
+    }
+
+    /// Of its pixels, row by row.
+    pub(super) fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// See [`Self::values`].
+    pub(super) fn values_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+
     /// The mean of as many images of one sensor.
     pub fn mean(mut images: Vec<Irradiance>) -> Irradiance {
-        if images.len() == 1 {
-            return images.remove(0);
+        match images.len() {
+            1 => images.remove(0),
+            count => Irradiance::sum_of(&images, 1.0 / count as f32),
         }
+    }
+
+    /// The sum of images of one sensor, at least one.
+    pub fn sum(images: &[Irradiance]) -> Irradiance {
+        Irradiance::sum_of(images, 1.0)
+    }
+
+    /// Of so much of each.
+    fn sum_of(images: &[Irradiance], share: f32) -> Irradiance {
         let (columns, rows) = (images[0].columns(), images[0].rows());
         let mut pixels = Pixels::none(UVec2::new(columns as u32, rows as u32));
         let mut values = Vec::new();
-        let share = 1.0 / images.len() as f32;
         let mut sums = vec![0.0; columns];
         for row in 0..rows {
             for (column, e) in images.iter().flat_map(|image| image.row(row)) {

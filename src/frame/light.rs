@@ -5,7 +5,7 @@
 use super::View;
 use super::defocus::{self, Spread};
 use super::flat::Profile;
-use super::grid::Nodes;
+use super::grid::{Grid, Nodes};
 use super::irradiance::Irradiance;
 use super::pixels::{Pixels, Rows, SIDE, middle};
 use super::rays::{Lit, LitRays, Met, Plane, Rays};
@@ -109,9 +109,17 @@ impl Light {
         rows.map(|(column, row, pixel)| (column, row, self.samples(pixel)))
     }
 
-    /// The same with light that was reflected more than once: its mean irradiance over each
-    /// pixel (mW/mm²), which may be lit where this is not. It is faint and wide: the lens need not
-    /// spread it, and it is added after that.
+    /// Light that is the same all over each pixel.
+    pub(super) fn even(mean: &Irradiance, grid: Grid) -> Light {
+        let nodes = Nodes::new(grid);
+        let count = nodes.places().len();
+        let values = mean.values().iter();
+        let irradiance = values.flat_map(|&e| std::iter::repeat_n(e, count));
+        Light::spread(mean.rows.clone(), nodes, irradiance.collect(), Vec::new())
+    }
+
+    /// The same with light that was reflected more than once, as the lens has spread it: its mean irradiance over
+    /// each pixel (mW/mm²), which may be lit where this is not.
     pub fn with_indirect(self, indirect: &Irradiance) -> Light {
         debug_assert!(self.blur.is_empty());
         let count = self.nodes.places().len();
@@ -486,7 +494,7 @@ mod tests {
     use super::*;
     use crate::accel::Accel;
     use crate::camera::fixture;
-    use crate::frame::{Grid, LensBlur, Region, blur, expose, footprint};
+    use crate::frame::{LensBlur, Region, blur, expose, footprint};
     use crate::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
     use crate::math::{DVec3, Rigid};
     use crate::mesh::shapes;
@@ -524,6 +532,7 @@ mod tests {
             sampling,
             cutoff_radii: CUTOFF_RADII,
             lens: LensBlur::NONE,
+            indirect: None,
         });
     }
 

@@ -3,7 +3,8 @@
 //! plain data in the file of its name.
 //!
 //! ```text
-//! footprint → rays → light → skew → blur → expose (speckle × light, over pixels) → counts
+//! footprint → rays → light → skew → blur ─┬→ expose (speckle × light, over pixels) → counts
+//!                                 ghosts ─┘
 //! ```
 
 mod bend;
@@ -11,12 +12,15 @@ mod blur;
 mod counts;
 mod defocus;
 mod expose;
+mod eye;
 mod flat;
 mod footprint;
 mod geometric;
+mod ghosts;
 mod gloss;
 mod grid;
 mod irradiance;
+mod join;
 mod light;
 mod pixels;
 mod polygon;
@@ -28,6 +32,7 @@ mod skew;
 mod speckle;
 mod transform;
 mod truth;
+mod walk;
 mod window;
 
 pub use blur::blur;
@@ -36,6 +41,7 @@ pub use defocus::{Blur, LensBlur};
 pub use expose::expose;
 pub use footprint::{Region, footprint};
 pub use geometric::{LinePoint, Sheet};
+pub use ghosts::{Indirect, Reflections, ghosts, met_again};
 pub use grid::Grid;
 pub use irradiance::Irradiance;
 pub use light::{Light, Sampling, light};
@@ -85,6 +91,8 @@ pub struct View<'a> {
     pub cutoff_radii: f64,
     /// The lens's blur.
     pub lens: LensBlur,
+    /// `None`: light is reflected once.
+    pub indirect: Option<Indirect>,
 }
 
 /// The image that the sensor takes: the mean of the light over the `views` of one exposure
@@ -111,7 +119,30 @@ pub fn irradiance(view: &View, region: &Region) -> Irradiance {
     let light = light(traced, pixels); // rays: irradiance and depth at each sample
     let light = skew(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
-    expose(light, view) // speckle × light, integrated over pixels
+    let Some(indirect) = &view.indirect else {
+        return expose(light, view); // speckle × light, integrated over pixels
+    };
+    let ghosts = ghosts(view, region, indirect); // light that is reflected more than once
+    match indirect.is_one_field(view) {
+        true => expose(light.with_indirect(&ghosts.mean), view),
+        false => Irradiance::sum(&[expose(light, view), ghosts.exposed(view)]),
+    }
+}
+
+/// Mean irradiance of each pixel without speckle, mW/mm²: of light reflected once, and more than once. Together they are
+/// the mean of [`irradiance`] over all speckle.
+pub fn shares(view: &View, region: &Region) -> [Irradiance; 2] {
+    let mut direct = View {
+        speckle: None,
+        indirect: None,
+        ..view.clone()
+    };
+    direct.lens.blur = direct.lens.blur.without_field();
+    let more = match &view.indirect {
+        Some(indirect) => ghosts(&direct, region, indirect).mean,
+        None => Irradiance::dark(view.camera.sensor.resolution),
+    };
+    [irradiance(&direct, region), more]
 }
 
 /// A camera whose sensor is so much larger on each side that all light that the lens spreads onto the

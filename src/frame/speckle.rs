@@ -1,5 +1,6 @@
 //! The speckle of one frame, and how its samples read it.
 
+use super::View;
 use super::reference::{Around, References, Seen, Strips};
 use crate::camera::{Camera, ChiefRays};
 use crate::math::{DVec2, Rigid};
@@ -50,6 +51,47 @@ pub enum Patterns<'a> {
         /// u, in slices.
         slice: f64,
     },
+}
+
+/// Way (pupil diameters, across any path) to phasors that no pupil of a scan meets.
+const ELSEWHERE: DVec2 = DVec2::new(8192.0, -8192.0);
+
+impl<'a> Speckle<'a> {
+    /// A pattern of its own with the same grains, of the same motion, for light of other paths.
+    pub(super) fn elsewhere(&self, view: &View) -> Speckle<'a> {
+        let far = |fields, shift| {
+            let shift = shift + ELSEWHERE;
+            Patterns::Frame {
+                fields,
+                place: PupilPlace {
+                    shift,
+                    defocus: 0.0,
+                },
+            }
+        };
+        let patterns = match &self.patterns {
+            Patterns::Frame { fields, place } => far(*fields, place.shift),
+            Patterns::Strips { fields, strips } => far(*fields, strips.pupil),
+            ring => ring.clone(),
+        };
+        let map = match &patterns {
+            // Fields of a wider pupil, read as if of the lens's.
+            Patterns::Frame { fields, .. } => {
+                let camera = view.camera;
+                let grain = camera.speckle_angle(view.laser.beam.wavelength);
+                fields.map(grain, camera.lens.image_distance())
+            }
+            _ => self.map,
+        };
+        let sensor = view.camera.sensor.resolution.as_dvec2() * view.camera.sensor.pixel_pitch;
+        Speckle {
+            patterns,
+            map,
+            // A ring has one pattern: of its part that the sensor does not see.
+            displacement: self.displacement + sensor,
+            wider: None,
+        }
+    }
 }
 
 impl Patterns<'_> {

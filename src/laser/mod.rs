@@ -6,9 +6,11 @@
 
 mod beam;
 mod line;
+mod stream;
 
 pub use beam::Beam;
 pub use line::{Fan, FanProfile};
+pub use stream::Stream;
 
 use crate::math::{DMat3, DVec2, DVec3};
 

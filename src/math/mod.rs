@@ -2,12 +2,16 @@
 
 mod aperture;
 pub mod frames;
+mod normal;
 pub mod quadrature;
 pub mod rng;
+mod sequence;
 
 pub use aperture::Aperture;
 pub use frames::Rigid;
 pub use glam::{DMat2, DMat3, DVec2, DVec3};
+pub use normal::normal_quantile;
+pub use sequence::Sequence;
 
 /// Axis-aligned box, in the unit of its points. Empty when `min > max`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]

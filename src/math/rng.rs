@@ -23,6 +23,8 @@ pub enum Purpose {
     RaceRays = 16,
     /// What each box of the tree in Rust is widened by.
     BoxPadding = 17,
+    /// Paths of light that is reflected more than once.
+    Reflections = 9,
     /// Rays by which the plan finds what of the part is in view.
     PlanRays = 18,
 }

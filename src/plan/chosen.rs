@@ -2,7 +2,7 @@
 
 use super::height_error::PROMISED_SHARE;
 use crate::camera::GrainExtent;
-use crate::frame::{Blur, LensBlur, Sampling, reach_px};
+use crate::frame::{Blur, LensBlur, Reflections, Sampling, reach_px};
 use crate::math::Aperture;
 use crate::speckle::frame_field::WIDEST;
 use crate::speckle::lookup::Method;
@@ -25,6 +25,9 @@ pub struct Plan {
     pub blur: Blur,
     /// Beam radii at which light is taken to end.
     pub cutoff_radii: f64,
+    /// How light that is reflected more than once is followed; `None`: it is left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reflections: Option<Reflections>,
     /// 1/e² half width of the line's image where it is narrowest on the part, for
     /// a surface across the beam, pixels.
     pub line_half_width_px: f64,

@@ -29,6 +29,8 @@ const CONTRAST_TOLERANCE: f64 = 0.005;
 const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
 /// Most samples along each side of a pixel.
 pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
+/// Most reflections that are followed.
+pub const MAX_REFLECTIONS: u32 = 64;
 
 /// Samples a side at which the line's centroid is good to
 /// [`SAMPLING_TOLERANCE_PX`] and the contrast of speckle to [`CONTRAST_TOLERANCE`].
@@ -86,6 +88,7 @@ impl Plan {
                 true => CUTOFF_RADII,
                 false => cutoff_radii(laser, camera, places),
             },
+            reflections: None,
             line_half_width_px: line.half_width_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
@@ -108,14 +111,13 @@ impl Plan {
         };
         let slip = speckle.as_ref().map(|optics| line.slip(optics));
         plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
-        plan.effects = plan.explain(optics, speckle.as_ref(), exposure, sigma);
+        plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
         plan.effects.extend(slip);
         plan
     }
 
     fn explain(
         &self,
-        optics: &Optics,
         speckle: Option<&SpeckleOptics>,
         exposure: Option<ExposureMotion>,
         sigma: f64,
@@ -144,16 +146,6 @@ impl Plan {
             ),
             self.defocus_effect(),
             self.diffraction_effect(),
-            effect(
-                EffectKind::Reflections,
-                false,
-                "direct light only".into(),
-                match optics.glossy {
-                    true => "not modelled: corners of metal show ghosts as bright as the line",
-                    false => "the surface is diffuse: interreflections are faint and wide",
-                }
-                .into(),
-            ),
             self.exposure_effect(exposure),
         ]
     }

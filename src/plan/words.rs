@@ -34,5 +34,8 @@ pub fn words(plan: &Plan) -> Vec<String> {
         Blur::Mean => words.push("light blurred".into()),
         Blur::Coherent => words.push("field blurred".into()),
     }
+    if let Some(reflections) = &plan.reflections {
+        words.push(format!("up to {} reflections", reflections.most));
+    }
     words
 }

@@ -17,6 +17,7 @@ pub(crate) mod pilot;
 pub(crate) mod planner;
 pub(crate) mod ready;
 mod reason;
+mod reflections;
 mod render;
 mod report;
 mod scan;

@@ -2,6 +2,7 @@
 //! cheapest that keeps it.
 
 use super::methods::named;
+use super::reflections::MetAgain;
 use super::search::{Choice, choose};
 use super::simulation::plan;
 use crate::accel::Accel;
@@ -90,10 +91,25 @@ fn noise_method(plan: &Plan) -> &'static str {
 /// The same over a hierarchy that is there.
 pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>) -> Result<Plan> {
     let base = plan(scene, accel);
+    let again = MetAgain::of(scene, accel, &base)?;
+    let mut plan = direct_plan(scene, accel, base, again.most(scene) > 1)?;
+    let (reflections, effect) = again.planned(scene, accel, &plan)?;
+    plan.reflections = reflections;
+    // Before motion and what follows it.
+    let motion = |e: &Effect| e.effect == EffectKind::ExposureMotion;
+    let at = plan.effects.iter().position(motion);
+    plan.effects
+        .insert(at.unwrap_or(plan.effects.len()), effect);
+    Ok(plan)
+}
+
+/// What it does of light that is reflected once. Other light is the same for all plans that take
+/// images; they must be taken if there is any (`ghosts`).
+fn direct_plan(scene: &Scene, accel: &Arc<Accel>, base: Plan, ghosts: bool) -> Result<Plan> {
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(told(&scene.methods, named(scene, base)));
     };
-    let mut choice = choose(scene, accel, &base, tolerance)?;
+    let mut choice = choose(scene, accel, &base, (tolerance, ghosts))?;
     let pilot = &choice.pilot;
     choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
     let effects = effects(scene, &mut choice, &base)?;

@@ -61,6 +61,11 @@ pub fn render(
         ("normal.Z", component(&truth.normal, 2)),
         ("triangle", FlatSamples::U32(truth.triangle)),
     ];
+    if simulation.plan.reflections.is_some() {
+        let [direct, reflections] = simulation.shares(frame).map(|share| share.dense());
+        channels.push(("direct", FlatSamples::F32(direct)));
+        channels.push(("reflections", FlatSamples::F32(reflections)));
+    }
     if scene.copies.len() > 1 {
         channels.push(("copy", FlatSamples::U32(truth.copy)));
     }

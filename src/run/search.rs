@@ -58,12 +58,12 @@ impl Goal {
     }
 }
 
-/// Chooses for the tolerance of a scene; `base` is its plan without one.
+/// Chooses for the tolerance of a scene, which may need images; `base` is its plan without one.
 pub(crate) fn choose(
     scene: &Scene,
     accel: &Arc<Accel>,
     base: &Plan,
-    tolerance_um: f64,
+    (tolerance_um, images): (f64, bool),
 ) -> Result<Choice> {
     let clusters = Arc::new(Clusters::new(&scene.mesh));
     let asked = named(scene, base.clone());
@@ -79,7 +79,7 @@ pub(crate) fn choose(
         let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips);
         let plans = candidates(base, side / 2).into_iter();
         let plans: Vec<Plan> = plans.map(|plan| named(scene, plan)).collect();
-        let choice = among(scene, looked, base, plans, tolerance_um)?;
+        let choice = among(scene, looked, base, plans, (tolerance_um, images))?;
         let Accuracy {
             sufficient,
             pilot_points,
@@ -105,7 +105,7 @@ fn among(
     mut looked: Looked,
     base: &Plan,
     images: Vec<Plan>,
-    tolerance_um: f64,
+    (tolerance_um, needed): (f64, bool),
 ) -> Result<Choice> {
     let finer = |best: Plan, plan: Plan| if no_finer(&best, &plan) { plan } else { best };
     let finest = images.iter().cloned().reduce(finer);
@@ -131,7 +131,7 @@ fn among(
         planned_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
-    let line = scene.laser.fan.is_some() && !scene.write_frames;
+    let line = scene.laser.fan.is_some() && !scene.write_frames && !needed;
     let geometry = line && scene.methods.geometry_only != Some(false);
     let (plan, sufficient) = match best.points {
         // Nothing speaks for leaving anything out.

@@ -20,6 +20,7 @@ fn base() -> Plan {
         defocus_blur_px: 0.0,
         blurred_share: 0.0,
         defocus_noise_factor: 1.0,
+        reflections: None,
         airy_radius_px: 0.0,
         px_per_mm: 1.0,
         scheimpflug_tilt_deg: None,

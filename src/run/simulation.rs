@@ -8,7 +8,9 @@ use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
 use crate::camera::Counts;
 use crate::error::Result;
-use crate::frame::{self, Grid, Irradiance, Readout, Region, Sheet, Truth, View};
+use crate::frame::{
+    self, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
+};
 use crate::math::Rigid;
 use crate::math::rng::{Key, Purpose};
 use crate::plan::in_view::{InView, Optics};
@@ -165,9 +167,25 @@ impl Simulation {
                 .map(|speckle| speckle.at(scene, place, &part_from_head)),
             grid: Grid::Gauss { per_side },
             lens: self.plan.lens_blur(),
+            indirect: self.indirect(place),
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,
         }
+    }
+
+    /// Of light that is reflected more than once, at a place on the path.
+    fn indirect(&self, place: f64) -> Option<Indirect> {
+        let poses = self.scene.scan.exposure_poses;
+        let of_exposure = self.plan.reflections?;
+        Some(Indirect {
+            reflections: Reflections {
+                from_laser: of_exposure.from_laser.div_ceil(poses),
+                per_pixel: of_exposure.per_pixel / poses as f64,
+                ..of_exposure
+            },
+            key: Key::new(self.scene.seed, Purpose::Reflections).with(place.to_bits()),
+            coherence_length: self.scene.coherence_length_mm.unwrap_or(f64::INFINITY),
+        })
     }
 
     /// The views of one exposure.
@@ -188,6 +206,23 @@ impl Simulation {
     #[doc(hidden)]
     pub fn irradiance(&self, frame: u32) -> Irradiance {
         self.mean(frame, &self.region())
+    }
+
+    /// The mean light of a frame that is reflected more than once, at the middle of its exposure; of a plan that
+    /// follows it.
+    pub(crate) fn ghosts(&self, frame: u32) -> Irradiance {
+        let view = self.view(frame);
+        let indirect = view.indirect.expect("the plan follows it");
+        frame::ghosts(&view, &Region::All, &indirect).mean
+    }
+
+    /// The mean light of a frame without speckle: reflected once, and more than once.
+    #[doc(hidden)]
+    pub fn shares(&self, frame: u32) -> [Irradiance; 2] {
+        let (pose, region) = (self.pose(frame), self.region());
+        let shares = self.views(&pose).map(|view| frame::shares(&view, &region));
+        let (direct, ghosts) = shares.map(|[direct, ghosts]| (direct, ghosts)).unzip();
+        [direct, ghosts].map(Irradiance::mean)
     }
 
     /// The same in these columns alone, and dark elsewhere; of one that traces the

@@ -99,13 +99,14 @@ pub struct PartTable {
     pub rotation_deg: [f64; 3],
 }
 
-/// What the surface is: `metal`, `coat` or `matt`, or more than one of them, each on its `share` of it.
+/// What the surface is: `metal`, `coat`, `matt` or `mirror`, or more than one of them, each on its `share` of it.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceTable {
     pub metal: Option<MetalTable>,
     pub coat: Option<CoatTable>,
     pub matt: Option<MattTable>,
+    pub mirror: Option<MirrorTable>,
     pub lay: Option<LayTable>,
 }
 
@@ -149,6 +150,17 @@ pub struct CoatTable {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MattTable {
+    /// Share of light reflected, 0 to 1.
+    pub reflectance: f64,
+    /// Share of the surface. Default: 1.
+    #[serde(default = "one")]
+    pub share: f64,
+}
+
+/// A perfect mirror: seen by what it reflects of other surface.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MirrorTable {
     /// Share of light reflected, 0 to 1.
     pub reflectance: f64,
     /// Share of the surface. Default: 1.
@@ -240,6 +252,9 @@ pub struct LaserTable {
     /// lower the contrast by √N. Default: 1.
     #[serde(default = "one_pattern")]
     pub independent_patterns: u32,
+    /// λ²/Δλ: light of paths that differ by less adds as fields, of others as intensities. Metres for a laser
+    /// of one mode, 1 mm or less for a diode of several. Default: longer than all paths.
+    pub coherence_length_mm: Option<f64>,
     /// Centre of the laser's aperture.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -558,6 +573,9 @@ pub struct PlanTable {
     /// it) or `coherent` (the field is spread: speckle as the blur makes it; takes speckle by
     /// field).
     pub blur: Option<Blur>,
+    /// Most reflections of light on its way from laser to camera, 1 (direct light alone) to 64. Default: 1 for matt
+    /// surfaces and where no light meets the part again, else as many as matter.
+    pub reflections: Option<u32>,
     /// What finds the triangles rays meet.
     pub accel: Option<Backend>,
 }

@@ -6,7 +6,7 @@ use super::resolver::Resolver;
 use crate::error::Result;
 use crate::frame::Blur;
 use crate::laser::CUTOFF_RADII;
-use crate::plan::rules::MAX_SAMPLES_PER_SIDE;
+use crate::plan::rules::{MAX_REFLECTIONS, MAX_SAMPLES_PER_SIDE};
 
 impl Resolver<'_> {
     pub(super) fn tolerance(&self, table: &AccuracyTable) -> Result<Option<f64>> {
@@ -34,6 +34,11 @@ impl Resolver<'_> {
             (1.0..=CUTOFF_RADII).contains(&radii),
             "plan.cutoff_radii",
             "a number from 1 to 4",
+        )?;
+        self.check(
+            (1..=MAX_REFLECTIONS).contains(&table.reflections.unwrap_or(1)),
+            "plan.reflections",
+            "from 1 to 64",
         )?;
         self.check(
             by_field || table.speckle_slips != Some(true),

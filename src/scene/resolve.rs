@@ -94,6 +94,10 @@ pub struct Scene {
     pub part_at_rest: Rigid,
     /// In its own frame.
     pub laser: Laser,
+    /// λ²/Δλ of the laser, mm; `None`: longer than all paths of light.
+    #[doc(hidden)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coherence_length_mm: Option<f64>,
     /// Where the laser stands in the head.
     pub head_from_laser: Rigid,
     /// In its own frame.
@@ -250,6 +254,10 @@ impl Resolver<'_> {
         let part_at_rest = self.part_at_rest(&file.part)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
+        let coherence_length_mm = file.laser.coherence_length_mm;
+        coherence_length_mm.map_or(Ok(0.0), |length| {
+            self.positive(length, "laser.coherence_length_mm")
+        })?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let named = (&*groups, mesh.triangles.len());
@@ -292,6 +300,7 @@ impl Resolver<'_> {
             surface,
             part_at_rest,
             laser,
+            coherence_length_mm,
             head_from_laser,
             camera,
             head_from_camera,

@@ -1,12 +1,14 @@
 //! What the part's surface is.
 
-use super::file::{CoatTable, LayTable, MattTable, MetalTable, PartTable, SurfaceTable};
+use super::file::{
+    CoatTable, LayTable, MattTable, MetalTable, MirrorTable, PartTable, SurfaceTable,
+};
 use super::resolver::Resolver;
 use crate::error::{Result, printable};
 use crate::math::Rigid;
 use crate::mesh::Groups;
 use crate::surface::{
-    Coat, Ggx, Glossy, Kind, Lambert, Lay, Lobe, Metal, Surface, Surfaces, WAVELENGTHS_NM,
+    Coat, Ggx, Glossy, Kind, Lambert, Lay, Lobe, Metal, Mirror, Surface, Surfaces, WAVELENGTHS_NM,
     metal_index, metal_names,
 };
 use std::collections::{BTreeMap, BTreeSet};
@@ -94,10 +96,14 @@ impl Resolver<'_> {
             self.share(reflectance, &format!("{key}.matt.reflectance"))?;
             lobes.push((share, Lobe::Matt(Lambert { reflectance })));
         }
+        if let Some(MirrorTable { reflectance, share }) = table.mirror {
+            self.share(reflectance, &format!("{key}.mirror.reflectance"))?;
+            lobes.push((share, Lobe::Mirror(Mirror { reflectance })));
+        }
         self.check(
             !lobes.is_empty(),
             key,
-            "at least one of metal, coat and matt",
+            "at least one of metal, coat, matt and mirror",
         )?;
         let shares = || lobes.iter().map(|(share, _)| share);
         self.check(

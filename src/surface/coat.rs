@@ -47,6 +47,12 @@ impl Coat {
         self.facets.bsdf(i, o, once)
     }
 
+    /// Shares of light from `o` that the interface and the base reflect.
+    pub(super) fn shares(&self, o: DVec3) -> [f64; 2] {
+        let gloss = self.albedo.of(o);
+        [gloss, self.scattered * (1.0 - gloss).max(0.0)]
+    }
+
     /// What comes from the base of it.
     pub fn body(&self, i: DVec3, o: DVec3) -> f64 {
         self.scattered * self.albedo.rest(i, o)

@@ -61,7 +61,7 @@ impl Ggx {
 
     /// A facet that is seen from `o`, at (u₁, u₂) of the unit square: the square's measure is that
     /// of the facets seen (Heitz 2018).
-    fn seen_facet(&self, o: DVec3, u: DVec2) -> DVec3 {
+    pub(super) fn seen_facet(&self, o: DVec3, u: DVec2) -> DVec3 {
         let alpha = self.alpha().extend(1.0);
         let stretched = (o * alpha).normalize();
         let flat = DVec2::new(-stretched.y, stretched.x);
@@ -74,6 +74,12 @@ impl Ggx {
         let z = (1.0 - x * x - y * y).max(0.0).sqrt();
         let m = first * x + second * y + stretched * z;
         DVec3::new(m.x * self.along, m.y * self.across, m.z.max(1e-12)).normalize()
+    }
+
+    /// How likely light from `o` is mirrored to `i` at a facet that is seen from there, 1/sr.
+    pub(super) fn mirrored_density(&self, o: DVec3, i: DVec3) -> f64 {
+        let m = (i + o).normalize();
+        self.density(m) / (4.0 * o.z * (1.0 + self.lambda(o)))
     }
 
     /// Share of light from `o` that is reflected at its first facet and leaves, 0 to 1.

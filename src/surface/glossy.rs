@@ -5,6 +5,7 @@ use super::coat::Coat;
 use super::ggx::Ggx;
 use super::lay::Lay;
 use super::metal::Metal;
+use super::mirror::Mirror;
 use crate::math::{DMat3, DVec3};
 use std::f64::consts::FRAC_1_PI;
 
@@ -21,22 +22,25 @@ pub enum Lobe {
     Metal(Metal),
     /// By a clear coat over a diffuse base.
     Coat(Coat),
+    /// By a perfect mirror.
+    Mirror(Mirror),
 }
 
 impl Lobe {
     /// What of the BRDF (1/sr) keeps the light's polarisation, as it is reflected at the surface, and
     /// what comes from within and has lost it; in local directions, both above the surface.
-    fn parts(&self, i: DVec3, o: DVec3) -> [f64; 2] {
+    pub(super) fn parts(&self, i: DVec3, o: DVec3) -> [f64; 2] {
         match self {
             Lobe::Matt(matt) => [0.0, matt.reflectance * FRAC_1_PI],
             Lobe::Metal(metal) => [metal.bsdf(i, o), 0.0],
             Lobe::Coat(coat) => [coat.gloss(i, o), coat.body(i, o)],
+            Lobe::Mirror(_) => [0.0; 2],
         }
     }
 
     fn facets(&self) -> Option<&Ggx> {
         match self {
-            Lobe::Matt(_) => None,
+            Lobe::Matt(_) | Lobe::Mirror(_) => None,
             Lobe::Metal(metal) => Some(&metal.facets),
             Lobe::Coat(coat) => Some(&coat.facets),
         }

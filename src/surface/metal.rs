@@ -45,6 +45,22 @@ impl Metal {
         self.facets.bsdf(i, o, once) + self.several * self.albedo.rest(i, o)
     }
 
+    /// About what of light from `o` is reflected by one facet, and exactly by several.
+    pub(super) fn shares(&self, o: DVec3) -> [f64; 2] {
+        let white = self.albedo.of(o);
+        let once = fresnel::conductor(self.n, self.k, o.z.min(1.0));
+        [once * white, self.several * (1.0 - white).max(0.0)]
+    }
+
+    /// Without what several facets reflect: for comparing with programs that leave it out.
+    #[cfg(test)]
+    pub fn once(self) -> Metal {
+        Metal {
+            several: 0.0,
+            ..self
+        }
+    }
+
     /// The same of a metal that reflects all: what a furnace checks.
     #[cfg(test)]
     pub fn white(facets: Ggx) -> Metal {

@@ -8,6 +8,8 @@ mod glossy;
 mod lay;
 mod metal;
 mod metals;
+mod mirror;
+mod scatter;
 mod surfaces;
 
 pub use coat::Coat;
@@ -16,6 +18,8 @@ pub use glossy::{Glossy, LitPoint, Lobe};
 pub use lay::Lay;
 pub use metal::Metal;
 pub use metals::{WAVELENGTHS_NM, index as metal_index, names as metal_names};
+pub use mirror::Mirror;
+pub use scatter::{Drawn, Scatter};
 pub use surfaces::{Kind, Surfaces};
 
 use crate::math::DVec3;

@@ -1,0 +1,132 @@
+//! The laser's light drawn ray by ray.
+
+use super::{FanProfile, Laser};
+use crate::math::{DVec2, DVec3, normal_quantile};
+use std::f64::consts::{FRAC_PI_2, SQRT_2};
+
+/// Light of one place on the aperture: it flows along r/w = const, so that a beam's stream is bent where its
+/// radius is.
+#[derive(Debug, Clone, Copy)]
+pub struct Stream<'a> {
+    laser: &'a Laser,
+    /// In the fan, rad.
+    angle: f64,
+    /// From the axis, or across the sheet of a fan, in beam radii.
+    off: DVec2,
+}
+
+impl Laser {
+    /// The stream at a place of the unit square, whose measure is power.
+    #[doc(hidden)]
+    pub fn stream(&self, u: DVec2) -> Stream<'_> {
+        // Irradiance exp(−2r²/w²) has a standard deviation of w/2.
+        let [x, y] = u.to_array().map(|u| normal_quantile(u) / 2.0);
+        let (angle, off) = match &self.fan {
+            None => (0.0, DVec2::new(x, y)),
+            Some(fan) => {
+                let half = fan.angle / 2.0;
+                let angle = match fan.profile {
+                    FanProfile::Uniform => half * (2.0 * u.x - 1.0),
+                    FanProfile::Gaussian => {
+                        // Light past ±π/2 would go backwards.
+                        let tail = 0.5 * libm::erfc(SQRT_2 * FRAC_PI_2 / half);
+                        half / 2.0 * normal_quantile(tail + u.x * (1.0 - 2.0 * tail))
+                    }
+                };
+                (angle, DVec2::new(0.0, y))
+            }
+        };
+        Stream {
+            laser: self,
+            angle,
+            off,
+        }
+    }
+
+    /// How far from the aperture a point (laser frame) is along its stream, mm: along the axis, or in a fan from
+    /// its origin.
+    #[doc(hidden)]
+    pub fn distance(&self, p: DVec3) -> f64 {
+        match &self.fan {
+            None => p.z,
+            Some(_) => p.x.hypot(p.z),
+        }
+    }
+}
+
+impl Stream<'_> {
+    /// Where it is at a distance from the aperture, mm (laser frame).
+    pub fn at(&self, distance: f64) -> DVec3 {
+        let off = self.off * self.laser.beam.radius(distance);
+        let (sin, cos) = self.angle.sin_cos();
+        DVec3::new(off.x + distance * sin, off.y, distance * cos)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::laser::{Beam, Fan};
+    use crate::math::rng::{Key, Purpose};
+
+    /// Power through a patch of a plane across the axis, by streams and by the irradiance: within five
+    /// standard deviations of the share of n = 200 000 (false alarm below 1e-5 for all).
+    #[test]
+    fn streams_carry_the_lasers_power() {
+        let beam = Beam {
+            wavelength: 660e-6,
+            power_mw: 1.0,
+            waist_radius: 0.05,
+            waist_distance: 60.0,
+            m_squared: 1.2,
+        };
+        let fan = |profile| {
+            Some(Fan {
+                angle: 0.4,
+                profile,
+            })
+        };
+        let z = 100.0;
+        for (fan, middle, half) in [
+            (None, DVec2::new(0.1, -0.15), DVec2::new(0.1, 0.2)),
+            (
+                fan(FanProfile::Uniform),
+                DVec2::new(12.0, 0.2),
+                DVec2::new(3.0, 0.15),
+            ),
+            (
+                fan(FanProfile::Gaussian),
+                DVec2::new(-9.0, 0.0),
+                DVec2::new(6.0, 0.1),
+            ),
+        ] {
+            let laser = Laser { beam, fan };
+            let steps = 200;
+            let mut expected = 0.0;
+            for i in 0..steps * steps {
+                let at = DVec2::new((i % steps) as f64, (i / steps) as f64) + 0.5;
+                let p = middle + half * (at * (2.0 / steps as f64) - 1.0);
+                if let Some(light) = laser.at(p.extend(z)) {
+                    expected +=
+                        light.flux.z * 4.0 * half.element_product() / (steps * steps) as f64;
+                }
+            }
+            let n = 200_000;
+            let key = Key::new(8, Purpose::Reflections);
+            let met = |i: u64| {
+                let stream =
+                    laser.stream(DVec2::new(key.with(i).uniform(0), key.with(i).uniform(1)));
+                // Where it crosses the plane.
+                let mut p = stream.at(z);
+                for _ in 0..5 {
+                    p = stream.at(laser.distance(p * (z / p.z)));
+                }
+                ((p.truncate() - middle).abs() / half).max_element() < 1.0
+            };
+            let share = (0..n).filter(|&i| met(i)).count() as f64 / n as f64;
+            let sigma = (expected * (1.0 - expected) / n as f64).sqrt();
+            assert!((0.02..0.98).contains(&expected));
+            assert!((share - expected).abs() < 5.0 * sigma, "{share} {expected}");
+        }
+    }
+}

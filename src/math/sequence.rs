@@ -1,0 +1,97 @@
+//! Points of the unit square that lie more evenly than random ones: Sobol's sequence (1967) in two
+//! dimensions, scrambled as Owen (1995) has it by hashing (Laine & Karras 2011; Burley 2020).
+
+use super::DVec2;
+use super::rng::Key;
+
+/// One point in each box of equal area 2⁻ᵏ, whatever its shape, for the first 2ᵏ points and each further such
+/// block; different dimensions are independent.
+#[derive(Debug, Clone, Copy)]
+pub struct Sequence(Key);
+
+impl Sequence {
+    /// Another sequence for each key.
+    pub fn new(key: Key) -> Sequence {
+        Sequence(key)
+    }
+
+    /// Point number `index` of a pair of dimensions, in [0, 1)².
+    pub fn pair(&self, index: u32, dimension: u32) -> DVec2 {
+        let key = self.0.with(dimension as u64);
+        let seeds = [key.bits(0), key.bits(1)];
+        // The order of the points is scrambled too, so that pairs are independent.
+        let index = scrambled(index, seeds[0] as u32);
+        let of = |bits: u32, seed: u64| scrambled(bits, seed as u32) as f64 / 2f64.powi(32);
+        DVec2::new(
+            of(index.reverse_bits(), seeds[0] >> 32),
+            of(second(index), seeds[1]),
+        )
+    }
+}
+
+/// The second dimension of Sobol's sequence: binomial coefficients modulo 2.
+fn second(mut index: u32) -> u32 {
+    let (mut bits, mut column) = (0, 1 << 31);
+    while index != 0 {
+        if index & 1 == 1 {
+            bits ^= column;
+        }
+        index >>= 1;
+        column ^= column >> 1;
+    }
+    bits
+}
+
+/// Each bit turned by a hash of those above it.
+fn scrambled(bits: u32, seed: u32) -> u32 {
+    let mut x = bits.reverse_bits().wrapping_add(seed);
+    for factor in [0x6c50_b47c, 0xb82f_1e52, 0xc7af_e638, 0x8d22_f6e6u32] {
+        x ^= x.wrapping_mul(factor);
+    }
+    x.reverse_bits()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::Purpose;
+
+    /// Each box of area 2⁻¹⁰ has one of the first 2¹⁰ points, and of those that follow them.
+    #[test]
+    fn every_box_has_its_point() {
+        for dimension in 0..3 {
+            let sequence = Sequence::new(Key::new(5, Purpose::Reflections));
+            for block in 0..3 {
+                for wide in 0..=10 {
+                    let mut met = [false; 1024];
+                    for i in 0..1024 {
+                        let p = sequence.pair(1024 * block + i, dimension);
+                        let (x, y) = (
+                            (p.x * 2f64.powi(wide)) as usize,
+                            (p.y * 2f64.powi(10 - wide)) as usize,
+                        );
+                        met[(x << (10 - wide)) + y] = true;
+                    }
+                    assert!(met.iter().all(|&met| met), "{dimension} {block} {wide}");
+                }
+            }
+        }
+    }
+
+    /// Numbers of two dimensions are not correlated: |r| below 5/√n.
+    #[test]
+    fn dimensions_are_independent() {
+        let n = 4096;
+        let sequence = Sequence::new(Key::new(6, Purpose::Reflections));
+        let sum: f64 = (0..n)
+            .map(|i| {
+                let [a, b] = [0, 1].map(|dimension| sequence.pair(i, dimension) - 0.5);
+                a.x * b.x + a.x * b.y + a.y * b.x
+            })
+            .sum();
+        assert!(
+            (sum * 12.0 / n as f64).abs() < 5.0 * (3.0 / n as f64).sqrt(),
+            "{sum}"
+        );
+    }
+}

@@ -1,0 +1,234 @@
+//! Whether light that is reflected more than once matters in a scene, and how many paths it takes to see it with
+//! less noise than the sensor's own.
+
+use super::pilot::spread_frames;
+use super::simulation::Simulation;
+use crate::accel::Accel;
+use crate::error::Result;
+use crate::frame::{Irradiance, Reflections, met_again};
+use crate::math::rng::{Key, Purpose};
+use crate::plan::Plan;
+use crate::plan::rules::{Effect, EffectKind, MAX_REFLECTIONS};
+use crate::scene::Scene;
+use crate::surface::Lobe;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Frames in which it is asked what meets the part again, evenly spread over the scan.
+const FRAMES: u32 = 16;
+/// Paths of each: a share of one of a hundred of the light is not seen with a chance of e⁻⁴¹ in one frame.
+const PATHS: u32 = 4096;
+/// Share of the light met again whose further reflections are not followed.
+const REST: f64 = 1e-3;
+/// Frames, of those with most of it, whose noise is measured.
+const MEASURED: usize = 2;
+/// Independent images of each, and the paths from the laser that each takes.
+const IMAGES: u64 = 4;
+const PILOT: u32 = 1 << 15;
+/// Side of the squares of pixels over which noise is averaged: 192 degrees of freedom of IMAGES images know it to
+/// 10 %.
+const SIDE: usize = 8;
+/// Noise of paths over the sensor's own, at most: together they are then 12 % more than the sensor's.
+const NOISE: f64 = 0.5;
+/// Share of the squares in which it may be more.
+const BEYOND: f64 = 0.01;
+/// Paths from the laser, at least and at most.
+const LEAST: u32 = 1 << 12;
+const MOST: u32 = 1 << 24;
+/// Roughness from which on paths from the laser find all that the camera sees; below, lobes are too narrow to be
+/// met by chance.
+const ROUGH: f64 = 0.3;
+/// Time of a path from the laser and of one from the camera, ns of one core: measured in `scenes/corner`.
+const PATH_NS: f64 = 4e3;
+const CAMERA_PATH_NS: f64 = 1.5e4;
+
+/// What of the laser's light meets the part again after it was reflected once.
+pub(crate) struct MetAgain {
+    /// Of that which meets it at all, the largest of frames.
+    share: f64,
+    /// Frames with most of it.
+    frames: Vec<u32>,
+}
+
+impl MetAgain {
+    /// In frames all over the path.
+    pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &Plan) -> Result<MetAgain> {
+        let simulation = Simulation::with_plan(scene, accel.clone(), silent(plan))?;
+        let frames = spread_frames(scene.scan.frames, FRAMES);
+        let share = |&frame: &u32| {
+            let key = Key::new(0, Purpose::PlanRays).with(frame as u64);
+            let [first, again] = met_again(&simulation.view(frame), PATHS, key);
+            let share = if first > 0.0 { again / first } else { 0.0 };
+            (share, frame)
+        };
+        let mut shares: Vec<(f64, u32)> = frames.par_iter().map(share).collect();
+        shares.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let some = shares.iter().filter(|(share, _)| *share > 0.0);
+        Ok(MetAgain {
+            share: shares.first().map_or(0.0, |(share, _)| *share),
+            frames: some.take(MEASURED).map(|&(_, frame)| frame).collect(),
+        })
+    }
+
+    /// Most reflections that are followed: those the scene names; else of matt parts one, of others so many that
+    /// further ones carry less than [`REST`].
+    pub fn most(&self, scene: &Scene) -> u32 {
+        let methods = &scene.methods;
+        if methods.geometry_only == Some(true) || self.share <= 0.0 {
+            return 1;
+        }
+        let chosen = match scene.surface.glossy().next() {
+            None => 1,
+            Some(_) => {
+                let reflections = REST.ln() / self.share.min(0.9).ln();
+                (reflections.ceil() as u32).clamp(2, MAX_REFLECTIONS)
+            }
+        };
+        methods.reflections.unwrap_or(chosen)
+    }
+
+    /// How it is followed in a scene, and what is to be said of it.
+    pub fn planned(
+        &self,
+        scene: &Scene,
+        accel: &Arc<Accel>,
+        plan: &Plan,
+    ) -> Result<(Option<Reflections>, Effect)> {
+        let most = self.most(scene);
+        let percent = 100.0 * self.share;
+        if most < 2 || plan.geometry_only {
+            let why = match self.share > 0.0 {
+                false => "no light that is reflected meets the part again".to_owned(),
+                true if scene.methods.reflections.is_some() || plan.geometry_only => {
+                    format!("named in [plan]; {percent:.1} % of the light meets the part again")
+                }
+                true => format!(
+                    "the surface is diffuse: the {percent:.1} % of the light that meets the part again is wide \
+                     and faint; plan.reflections = 4 models it"
+                ),
+            };
+            let none = Effect::new(
+                EffectKind::Reflections,
+                false,
+                "direct light only".into(),
+                why,
+            );
+            return Ok((None, none));
+        }
+        let (reflections, noise) = self.paths(scene, accel, plan, most)?;
+        let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
+        let Reflections {
+            from_laser,
+            per_pixel,
+            ..
+        } = reflections;
+        let method = format!(
+            "up to {most} reflections: {from_laser} paths from the laser, {:.0} from the camera",
+            per_pixel * pixels
+        );
+        let why = format!(
+            "up to {percent:.1} % of the light meets the part again; the paths' noise is {noise:.2} of the \
+             sensor's own in 99 of 100 places, or less"
+        );
+        let mut effect = Effect::new(EffectKind::Reflections, true, method, why);
+        let ns = from_laser as f64 * PATH_NS + per_pixel * pixels * CAMERA_PATH_NS;
+        effect.cost_ms = Some(ns * 1e-6);
+        Ok((Some(reflections), effect))
+    }
+
+    /// So many paths that their noise is below the sensor's, and what it is of that.
+    fn paths(
+        &self,
+        scene: &Scene,
+        accel: &Arc<Accel>,
+        plan: &Plan,
+        most: u32,
+    ) -> Result<(Reflections, f64)> {
+        let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
+        let pilot = Reflections {
+            most,
+            from_laser: PILOT,
+            per_pixel: match needs_camera(scene) {
+                true => PILOT as f64 / pixels,
+                false => 0.0,
+            },
+        };
+        let plan = Plan {
+            reflections: Some(pilot),
+            ..silent(plan)
+        };
+        let mut ratios = Vec::new();
+        for &frame in &self.frames {
+            let images = (0..IMAGES).map(|seed| {
+                let scene = Scene {
+                    seed,
+                    ..scene.clone()
+                };
+                let simulation = Simulation::with_plan(&scene, accel.clone(), plan.clone())?;
+                Ok(simulation.ghosts(frame))
+            });
+            ratios.extend(noise_ratios(scene, &images.collect::<Result<Vec<_>>>()?));
+        }
+        ratios.sort_by(f64::total_cmp);
+        let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
+        let ratio = ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0);
+        // The variance of stratified paths falls at least as their number grows.
+        let needed = (PILOT as f64 * (ratio / NOISE).powi(2)).clamp(LEAST as f64, MOST as f64);
+        let from_laser = (needed as u32).next_power_of_two();
+        let times = from_laser as f64 / PILOT as f64;
+        let reflections = Reflections {
+            from_laser,
+            per_pixel: pilot.per_pixel * times,
+            ..pilot
+        };
+        Ok((reflections, ratio / times.sqrt()))
+    }
+}
+
+/// Without speckle and noise.
+fn silent(plan: &Plan) -> Plan {
+    Plan {
+        speckle: None,
+        noise: false,
+        blur: plan.blur.without_field(),
+        ..plan.clone()
+    }
+}
+
+/// Whether the camera may see what no path from the laser finds: mirrors, and lobes that are narrow.
+fn needs_camera(scene: &Scene) -> bool {
+    scene.surface.glossy().any(|glossy| {
+        let mirrors = glossy
+            .lobes
+            .iter()
+            .any(|(_, lobe)| matches!(lobe, Lobe::Mirror(_)));
+        mirrors || glossy.narrowest() < ROUGH
+    })
+}
+
+/// Standard deviation of images over that of the sensor's own noise in them, in each square with light that is not
+/// full.
+fn noise_ratios(scene: &Scene, images: &[Irradiance]) -> Vec<f64> {
+    let sensor = &scene.camera.sensor;
+    let electrons = sensor.electrons_per_irradiance(scene.laser.beam.wavelength);
+    let read = sensor.noise.map_or(0.0, |noise| noise.read_noise_e);
+    let dark = read * read + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
+    let columns = images[0].columns();
+    let squares = columns.div_ceil(SIDE);
+    let images: Vec<Vec<f32>> = images.iter().map(Irradiance::dense).collect();
+    let count = images.len() as f64;
+    let mut sums = vec![[0.0; 2]; squares * (images[0].len() / columns).div_ceil(SIDE)];
+    for pixel in 0..images[0].len() {
+        let values = images.iter().map(|image| image[pixel] as f64 * electrons);
+        let (sum, square) = values.fold((0.0, 0.0), |(s, q), e| (s + e, q + e * e));
+        let mean = sum / count;
+        if sum > 0.0 && mean < sensor.full_well_e {
+            let variance = (square / count - mean * mean) * count / (count - 1.0);
+            let square = &mut sums[pixel / columns / SIDE * squares + pixel % columns / SIDE];
+            square[0] += variance.max(0.0);
+            square[1] += mean + dark;
+        }
+    }
+    let lit = sums.iter().filter(|[_, sensor]| *sensor > 0.0);
+    lit.map(|[paths, sensor]| (paths / sensor).sqrt()).collect()
+}
