@@ -82,7 +82,7 @@ impl Setup {
     fn view(&self) -> View<'_> {
         View {
             accel: &self.accel,
-            surface: self.surface.clone(),
+            surface: self.surface.clone().into(),
             laser: &self.laser,
             part_from_laser: self.part_from_laser,
             camera: &self.camera,
