@@ -12,7 +12,7 @@ pub(super) struct Vertex {
     pub point: DVec3,
     /// On the side from which it was met.
     pub normal: DVec3,
-    /// The triangle there.
+    /// Of the mesh.
     pub triangle: u32,
     /// Towards where the path came from, unit.
     pub from: DVec3,

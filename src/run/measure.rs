@@ -3,7 +3,7 @@
 use super::simulation::{Pose, Simulation};
 use crate::camera::{Camera, Counts};
 use crate::error::Result;
-use crate::frame::{Blur, LinePoint};
+use crate::frame::{Blur, Irradiance, LinePoint};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
@@ -63,7 +63,10 @@ impl Simulation {
 
     fn measure_at(&self, pose: &Pose, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
         let (peaks, errors) = self.peaks(counts);
-        let points = self.points(pose, &peaks, &errors);
+        let mut points = self.points(pose, &peaks, &errors);
+        if self.plan.reflections.is_some() && !points.is_empty() {
+            tell_reflections(&mut points, &self.shares(pose.frame));
+        }
         (peaks, points)
     }
 
@@ -315,6 +318,28 @@ impl Simulation {
             deviation,
             normal: normal.as_vec3(),
             ..*point
+        }
+    }
+}
+
+/// Sets the truth of points of a frame: the share of what is [reflected once, and more than once], within two
+/// line widths of each.
+fn tell_reflections(points: &mut [CloudPoint], shares: &[Irradiance; 2]) {
+    const WIDTHS: f64 = 2.0;
+    let columns = shares[0].columns();
+    let [direct, more] = shares.each_ref().map(Irradiance::dense);
+    for point in points {
+        let reach = (WIDTHS * point.width).max(0.5);
+        let first = (point.row - reach).max(0.0) as usize;
+        let last = ((point.row + reach).max(0.0) as usize).min(shares[0].rows() - 1);
+        let light = |image: &[f32]| {
+            let rows = first.min(last)..=last;
+            let pixels = rows.map(|row| image[row * columns + point.column as usize]);
+            pixels.map(f64::from).sum::<f64>()
+        };
+        let (direct, more) = (light(&direct), light(&more));
+        if direct + more > 0.0 {
+            point.direct = (direct / (direct + more)) as f32;
         }
     }
 }
