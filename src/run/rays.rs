@@ -104,7 +104,7 @@ pub fn cast_rays(
         file.write_all(b"{\"hits\":[")?;
         for (i, hit) in hits.iter().enumerate() {
             file.write_all(if i == 0 { b"\n" } else { b",\n" })?;
-            let entry = hit.is_some().then(|| HitEntry {
+            let entry = hit.is_some().then_some(HitEntry {
                 distance: hit.distance,
                 point_mm: hit.point,
                 triangle: hit.triangle,

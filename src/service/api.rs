@@ -1,10 +1,10 @@
 //! The pages of the service: one function a page, each with its lines for OpenAPI.
 
-use super::Service;
 use super::job_folder::Progress;
 use super::jobs::{Accepted, Job, Kind, Request, State};
 use super::refusal::{Refusal, RefusalBody};
 use super::scene_files;
+use super::shared::Service;
 use super::store::{Hash, PREFIX, ResultFile};
 use super::{metrics, upload, workers};
 use crate::error::Error;
@@ -258,6 +258,23 @@ struct Asked {
 }
 
 impl Asked {
+    fn frames(&self) -> Answer<Option<std::ops::Range<u32>>> {
+        let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+        match &self.frames {
+            None => Ok(None),
+            Some(text) => {
+                let range = text.split_once("..");
+                let range = range.and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+                let expected = || {
+                    wrong(format!(
+                        "frames: found {text:?}, expected A..B as in 10..20"
+                    ))
+                };
+                range.ok_or_else(expected).map(Some)
+            }
+        }
+    }
+
     fn request(&self, service: &Service, body: &[u8]) -> Answer<Request> {
         let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
         let beside = [
@@ -278,19 +295,7 @@ impl Asked {
         if let Some((name, ..)) = beside.iter().find(|(_, given, taken)| *given && !taken) {
             return Err(wrong(format!("{name}: a job of this kind has none")));
         }
-        let frames = match &self.frames {
-            None => None,
-            Some(text) => {
-                let range = text.split_once("..");
-                let range = range.and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-                let expected = || {
-                    wrong(format!(
-                        "frames: found {text:?}, expected A..B as in 10..20"
-                    ))
-                };
-                Some(range.ok_or_else(expected)?)
-            }
-        };
+        let frames = self.frames()?;
         let also: Vec<String> = self
             .also
             .iter()
@@ -414,7 +419,7 @@ async fn post_job(
             return Err(Refusal::new(StatusCode::TOO_MANY_REQUESTS, message));
         }
     };
-    service.workers.wake();
+    service.slots.wake();
     let place = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((status, place, Json(page(&service, job).await)).into_response())
 }
@@ -450,7 +455,7 @@ async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> 
         }
         Some(_) => {
             workers::remove(&service.store.job(&id)).await;
-            service.workers.wake();
+            service.slots.wake();
             Ok(StatusCode::NO_CONTENT)
         }
     }
@@ -645,7 +650,7 @@ async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
             "the store's disk is full: {free} bytes are free"
         )));
     }
-    if service.workers.is_full() {
+    if service.slots.is_full() {
         return Err(not(
             "a job found the store's disk full; jobs wait for room".to_owned()
         ));
@@ -659,7 +664,10 @@ async fn readyz(extract::State(service): Shared) -> Answer<&'static str> {
 #[utoipa::path(get, path = "/metrics", responses((status = 200, content_type = "text/plain")))]
 async fn metrics_page(extract::State(service): Shared) -> Answer<Response> {
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4")];
-    Ok((kind, metrics::page(&service).await?).into_response())
+    let jobs = service.jobs.counts().await?;
+    let free = service.store.free();
+    let page = metrics::page(&service.metrics, &service.slots, &jobs, free);
+    Ok((kind, page).into_response())
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Counts for Prometheus, as text.
 
-use super::Service;
-use super::refusal::Refusal;
+use super::slots::Slots;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
@@ -65,34 +65,38 @@ fn head(page: &mut String, name: &str, kind: &str, help: &str) -> std::fmt::Resu
 }
 
 /// The page that Prometheus reads.
-pub async fn page(service: &Service) -> Result<String, Refusal> {
-    let counts = service.jobs.counts().await?;
+pub fn page(
+    metrics: &Metrics,
+    slots: &Slots,
+    jobs: &BTreeMap<String, u32>,
+    free: Option<u64>,
+) -> String {
     let mut page = String::new();
     let written = (|| {
-        service.metrics.requests(&mut page)?;
+        metrics.requests(&mut page)?;
         head(&mut page, "lasertrace_jobs", "gauge", "Jobs in each state.")?;
         for state in ["queued", "running", "done", "failed", "cancelled"] {
-            let count = counts.get(state).unwrap_or(&0);
+            let count = jobs.get(state).unwrap_or(&0);
             writeln!(page, "lasertrace_jobs{{state=\"{state}\"}} {count}")?;
         }
-        let workers = &service.workers;
+
         for (name, help, count) in [
             (
                 "started",
                 "Processes that were started for jobs.",
-                &workers.started,
+                &slots.started,
             ),
             (
                 "died",
                 "Processes of jobs that died without a word.",
-                &workers.died,
+                &slots.died,
             ),
         ] {
             let name = format!("lasertrace_processes_{name}_total");
             head(&mut page, &name, "counter", help)?;
             writeln!(page, "{name} {}", count.load(Relaxed))?;
         }
-        if let Some(free) = service.store.free() {
+        if let Some(free) = free {
             let name = "lasertrace_store_free_bytes";
             head(&mut page, name, "gauge", "Room on the store's disk.")?;
             writeln!(page, "{name} {free}")?;
@@ -105,7 +109,7 @@ pub async fn page(service: &Service) -> Result<String, Refusal> {
         std::fmt::Result::Ok(())
     })();
     written.expect("writing to a string does not fail");
-    Ok(page)
+    page
 }
 
 fn resident_pages() -> Option<u64> {

@@ -18,6 +18,8 @@ mod jobs;
 mod metrics;
 mod refusal;
 mod scene_files;
+mod shared;
+mod slots;
 mod store;
 mod upload;
 mod workers;
@@ -27,70 +29,13 @@ pub use guard::Guard;
 pub use job_folder::Limits;
 pub(crate) use job_folder::{JobFolder, Outcome, Progress};
 pub use refusal::Refusal;
+pub use shared::{Service, Settings};
 pub use workers::TOKEN_VARIABLE;
 
 use crate::error::{Error, Result};
-use jobs::Jobs;
-use metrics::Metrics;
-use std::ffi::OsString;
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use store::Store;
-use workers::Workers;
-
-/// What a service is started with.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// Where to listen; port 0 takes a free one.
-    pub listen: SocketAddr,
-    /// Folder of the jobs.
-    pub store: PathBuf,
-    /// What a client must send; `None`: nothing, and only a loopback address may be listened on.
-    pub token: Option<String>,
-    /// Names beside `localhost` by which clients may call the service.
-    pub hosts: Vec<String>,
-    /// The program whose command `job` runs a job.
-    pub program: OsString,
-    /// Whether it has a command `sweep`.
-    pub sweeps: bool,
-    /// Jobs that run at the same time.
-    pub jobs_at_once: usize,
-    /// Jobs that may wait.
-    pub longest_queue: u32,
-    /// Bytes of a file that is sent.
-    pub largest_file: u64,
-    /// Of each job.
-    pub limits: Limits,
-}
-
-/// All that the handlers of requests share.
-pub struct Service {
-    settings: Settings,
-    store: Store,
-    jobs: Jobs,
-    workers: Workers,
-    metrics: Metrics,
-}
-
-impl Service {
-    /// Opens the store, which no other service may have open.
-    ///
-    /// # Errors
-    /// `Error::Busy`; what the file system or SQLite refuse.
-    pub fn open(settings: Settings) -> Result<Arc<Service>> {
-        let store = Store::open(&settings.store)?;
-        let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
-        Ok(Arc::new(Service {
-            workers: Workers::new(settings.jobs_at_once),
-            metrics: Metrics::default(),
-            settings,
-            store,
-            jobs,
-        }))
-    }
-}
 
 /// The service's pages; those of another room may be merged with them.
 pub fn router(service: Arc<Service>) -> axum::Router {

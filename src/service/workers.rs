@@ -1,10 +1,11 @@
 //! Jobs one after the other, so many at once, each in a process of its own. The service waits, and the
 //! job's folder tells what came of it: so a service that was killed goes on where it was.
 
-use super::Service;
 use super::job_folder::{JobFolder, Outcome, Task};
 use super::jobs::{Job, Kind, State};
 use super::refusal::Refusal;
+use super::shared::Service;
+use super::slots::ROOM;
 use super::upload::on_disk;
 use crate::error::{Error, Result};
 use rustix::process::Signal;
@@ -13,19 +14,15 @@ use std::future::Future;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
 use std::process::Stdio;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
-use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::sleep;
 use tracing::{info, warn};
 
 /// Processes of a job that may die without a word before it counts as failed.
 const DEATHS: u32 = 3;
-/// Bytes that must have become free before a job that found the disk full goes on.
-const ROOM: u64 = 4 << 20;
-/// Time after which it is tried again all the same: another process may have taken the room.
-const FULL: Duration = Duration::from_secs(60);
 /// Time after its limit in which a job's process ends by itself.
 const GRACE: Duration = Duration::from_secs(10);
 /// Time between two looks at a process that is not this one's child.
@@ -33,74 +30,13 @@ const LOOK: Duration = Duration::from_millis(100);
 /// The environment's variable with the token.
 pub const TOKEN_VARIABLE: &str = "LASERTRACE_TOKEN";
 
-/// What the scheduler knows.
-pub struct Workers {
-    slots: Arc<Semaphore>,
-    /// A job came.
-    news: Notify,
-    stopping: AtomicBool,
-    full: Mutex<Option<Full>>,
-    pub started: AtomicU64,
-    pub died: AtomicU64,
-}
-
-/// The disk was full.
-struct Full {
-    since: Instant,
-    free: u64,
-}
-
-impl Workers {
-    pub fn new(at_once: usize) -> Workers {
-        Workers {
-            slots: Arc::new(Semaphore::new(at_once)),
-            news: Notify::new(),
-            stopping: AtomicBool::new(false),
-            full: Mutex::new(None),
-            started: AtomicU64::new(0),
-            died: AtomicU64::new(0),
-        }
-    }
-
-    pub fn wake(&self) {
-        self.news.notify_one();
-    }
-
-    /// Whether jobs wait for room.
-    pub fn is_full(&self) -> bool {
-        self.full
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .is_some()
-    }
-
-    fn found_full(&self, free: Option<u64>) {
-        let free = free.unwrap_or(0);
-        let since = Instant::now();
-        *self.full.lock().unwrap_or_else(PoisonError::into_inner) = Some(Full { since, free });
-    }
-
-    /// Whether a job may start, as far as the disk goes.
-    fn has_room(&self, free: Option<u64>) -> bool {
-        let mut full = self.full.lock().unwrap_or_else(PoisonError::into_inner);
-        let room = full.as_ref().is_none_or(|full| {
-            let more = free.is_none_or(|free| free >= full.free + ROOM);
-            more || full.since.elapsed() > FULL
-        });
-        if room {
-            *full = None;
-        }
-        room
-    }
-}
-
 /// Starts jobs for as long as the service lives; first it takes up those that ran when it ended.
 pub async fn schedule(service: Arc<Service>) {
     let cancelled = again(|| service.jobs.in_state(State::Cancelled)).await;
     let running = again(|| service.jobs.in_state(State::Running)).await;
     for job in cancelled.into_iter().chain(running) {
         info!(job = job.id, "taken up again");
-        let slot = service.workers.slots.clone().acquire_owned().await;
+        let slot = service.slots.places.clone().acquire_owned().await;
         tokio::spawn(work(
             service.clone(),
             job,
@@ -108,11 +44,11 @@ pub async fn schedule(service: Arc<Service>) {
         ));
     }
     loop {
-        let slot = service.workers.slots.clone().acquire_owned().await;
+        let slot = service.slots.places.clone().acquire_owned().await;
         let slot = slot.expect("slots are not closed");
         let job = loop {
-            let stopping = service.workers.stopping.load(Relaxed);
-            if !stopping && service.workers.has_room(service.store.free()) {
+            let stopping = service.slots.stopping.load(Relaxed);
+            if !stopping && service.slots.has_room(service.store.free()) {
                 service.store.keep_room();
                 match service.jobs.take().await {
                     Ok(Some(job)) => break job,
@@ -121,7 +57,7 @@ pub async fn schedule(service: Arc<Service>) {
                 }
             }
             tokio::select! {
-                () = service.workers.news.notified() => {}
+                () = service.slots.news.notified() => {}
                 () = sleep(Duration::from_secs(1)) => {}
             }
         };
@@ -160,7 +96,7 @@ async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
         _ => Some(run(&service, &job, &folder).await),
     };
     // A service that ends leaves the job as it is; the next one finds the outcome.
-    if service.workers.stopping.load(Relaxed) {
+    if service.slots.stopping.load(Relaxed) {
         return;
     }
     let kept = match left {
@@ -173,7 +109,7 @@ async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
         again(|| service.jobs.forget(&job.id)).await;
     }
     drop(slot);
-    service.workers.wake();
+    service.slots.wake();
 }
 
 pub async fn remove(folder: &JobFolder) {
@@ -210,7 +146,7 @@ async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Le
     let mut child = command
         .spawn()
         .map_err(Error::io("start", program.as_ref()))?;
-    service.workers.started.fetch_add(1, Relaxed);
+    service.slots.started.fetch_add(1, Relaxed);
     let starts = again(|| service.jobs.count(&job.id, false)).await;
     info!(job = job.id, kind = ?job.request.kind, starts, process = child.id(), "started");
     // Deleted before there was a process that could be told.
@@ -310,7 +246,7 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         }
         Ok(Left::Died(Some(status))) if status.signal() == Some(Signal::XCPU.as_raw()) => overdue(),
         Ok(Left::Died(status)) => {
-            service.workers.died.fetch_add(1, Relaxed);
+            service.slots.died.fetch_add(1, Relaxed);
             let deaths = again(|| service.jobs.count(&job.id, true)).await;
             let how = match status {
                 Some(status) => format!("the job's process ended with {status}"),
@@ -329,7 +265,7 @@ async fn conclude(service: &Service, job: &Job, folder: &JobFolder, left: Result
         Err(error) => match error.exit_code() {
             75 => {
                 service.store.give_room();
-                service.workers.found_full(service.store.free());
+                service.slots.found_full(service.store.free());
                 (
                     State::Queued,
                     None,
@@ -363,7 +299,7 @@ fn waits(
 ) -> (State, Option<u8>, Option<String>) {
     if full {
         service.store.give_room();
-        service.workers.found_full(service.store.free());
+        service.slots.found_full(service.store.free());
     }
     let said = said.unwrap_or_else(|| "the disk is full".to_owned());
     (
@@ -406,7 +342,7 @@ pub async fn cancel(service: Arc<Service>, id: String) {
 
 /// Tells all jobs to stop where they can go on later; the next service takes them up.
 pub async fn stop_all(service: &Service) {
-    service.workers.stopping.store(true, Relaxed);
+    service.slots.stopping.store(true, Relaxed);
     let running = service
         .jobs
         .in_state(State::Running)

@@ -1,0 +1,64 @@
+//! What a service is made of.
+
+use super::job_folder::Limits;
+use super::jobs::Jobs;
+use super::metrics::Metrics;
+use super::slots::Slots;
+use super::store::Store;
+use crate::error::Result;
+use std::ffi::OsString;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// What a service is started with.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Where to listen; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Folder of the jobs.
+    pub store: PathBuf,
+    /// What a client must send; `None`: nothing, and only a loopback address may be listened on.
+    pub token: Option<String>,
+    /// Names beside `localhost` by which clients may call the service.
+    pub hosts: Vec<String>,
+    /// The program whose command `job` runs a job.
+    pub program: OsString,
+    /// Whether it has a command `sweep`.
+    pub sweeps: bool,
+    /// Jobs that run at the same time.
+    pub jobs_at_once: usize,
+    /// Jobs that may wait.
+    pub longest_queue: u32,
+    /// Bytes of a file that is sent.
+    pub largest_file: u64,
+    /// Of each job.
+    pub limits: Limits,
+}
+
+/// All that the handlers of requests share.
+pub struct Service {
+    pub(super) settings: Settings,
+    pub(super) store: Store,
+    pub(super) jobs: Jobs,
+    pub(super) slots: Slots,
+    pub(super) metrics: Metrics,
+}
+
+impl Service {
+    /// Opens the store, which no other service may have open.
+    ///
+    /// # Errors
+    /// `Error::Busy`; what the file system or SQLite refuse.
+    pub fn open(settings: Settings) -> Result<Arc<Service>> {
+        let store = Store::open(&settings.store)?;
+        let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
+        Ok(Arc::new(Service {
+            slots: Slots::new(settings.jobs_at_once),
+            metrics: Metrics::default(),
+            settings,
+            store,
+            jobs,
+        }))
+    }
+}
