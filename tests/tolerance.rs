@@ -114,7 +114,7 @@ fn wrong_bands_are_refused_at_their_line() {
     for (lines, words) in [
         (
             "band_mm = [1, 1]",
-            "scene.toml:43: inspect.band_mm: found [1, 1], expected a lower limit and an upper one",
+            "scene.toml:45: inspect.band_mm: found [1, 1], expected a lower limit and an upper one",
         ),
         (
             "band_mm = [nan, 1]",

@@ -19,8 +19,8 @@ const FRAMES: u32 = 3;
 /// Frames of which it is asked how many of the sensor's columns may be lit.
 const FRAMES_ASKED: u32 = 256;
 
-/// Bytes of a point in the report: itself, with what is set aside too much, and three numbers of it in histograms.
-const POINT: u64 = size_of::<CloudPoint>() as u64 * 5 / 4 + 3 * 8;
+/// Bytes of a point in the report: as read from the journal, and all in a row.
+const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
 /// Bytes of a point on disk: in `cloud.ply`, `profiles.npy`, and at most in the journal.
 const POINT_ON_DISK: u64 = 67 + 82 + 108;
 /// Bytes of a frame in the journal beside its points.

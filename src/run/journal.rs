@@ -207,17 +207,6 @@ impl Journal {
             .map_err(Error::io("write", &self.path))
     }
 
-    /// No fewer points than are in the journal.
-    pub fn most_points(&self) -> Result<usize> {
-        // Postcard writes whole numbers in a byte or more.
-        const LEAST: u64 = 9 * 8 + 3 * 4 + 3;
-        let file = self
-            .file
-            .metadata()
-            .map_err(Error::io("read", &self.path))?;
-        Ok((file.len() / LEAST) as usize)
-    }
-
     /// Calls `then` with all frames in the journal, one by one.
     pub fn each(&mut self, mut then: impl FnMut(FrameRecord) -> Result<()>) -> Result<()> {
         let failed = || Error::io("read", &self.path);
@@ -394,7 +383,6 @@ mod tests {
         assert_eq!(records(&mut journal), [3, 4, 5].map(record));
         journal.append(&[record(6)]).unwrap();
         assert_eq!(records(&mut journal), [3, 4, 5, 6].map(record));
-        assert!((18..25).contains(&journal.most_points().unwrap()));
     }
 
     /// Whatever byte is lost or flipped, only whole frames before it are kept.

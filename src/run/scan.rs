@@ -279,8 +279,7 @@ fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
 
 /// The points of all frames, and the share of them that the lens would blur widely.
 fn points_of(journal: &mut Journal) -> Result<(Vec<CloudPoint>, Option<f64>)> {
-    // At once: a vector that grows has its points twice while it moves.
-    let (mut points, mut blurred) = (Vec::with_capacity(journal.most_points()?), 0);
+    let (mut points, mut blurred) = (Vec::new(), 0);
     journal.each(|record| {
         points.extend(record.points);
         blurred += record.blurred;
