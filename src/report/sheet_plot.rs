@@ -81,9 +81,7 @@ fn scatter(svg: &mut Svg, places: &[PlottedPlace], x: Axis) {
         ("place to place (speckle in it)", |p| p.place_to_place),
         ("repeatability (nothing moves)", |p| p.repeatability),
         ("mean of 100 columns", |p| p.mean_of_columns),
-        ("mean of 10 profiles", |p| {
-            p.mean_of_profiles
-        }),
+        ("mean of 10 profiles", |p| p.mean_of_profiles),
     ];
     let all = || {
         series

@@ -277,7 +277,7 @@ impl Resolver<'_> {
             polarised(glossy, &head_from_laser, &head_from_camera)
         });
         let speckle = self.speckle(&file, &camera, polarised)?;
-        let filters = self.filters(&file.measure, &camera, scan.frames)?;
+        let measure = self.measure(&file.measure, &camera, scan.frames)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         let methods = self.methods(
@@ -313,12 +313,7 @@ impl Resolver<'_> {
             head_from_camera,
             auto_exposure,
             sensor,
-            measure: Measure {
-                finder: file.measure.peak,
-                choice: file.measure.choose,
-                align: file.measure.align,
-                filters,
-            },
+            measure,
             scan,
             calibration,
         })
