@@ -1,6 +1,7 @@
-//! `[measure]`: what is done to profiles before they are delivered.
+//! `[measure]`: how lines are found, and what is done to profiles before they are delivered.
 
 use super::file::MeasureTable;
+use super::resolve::Measure;
 use super::resolver::Resolver;
 use crate::camera::Camera;
 use crate::error::Result;
@@ -10,12 +11,21 @@ use crate::profile::{Filters, Smooth};
 const FINEST: f64 = 0.25;
 
 impl Resolver<'_> {
-    pub(super) fn filters(
+    pub(super) fn measure(
         &self,
         table: &MeasureTable,
         camera: &Camera,
         frames: u32,
-    ) -> Result<Filters> {
+    ) -> Result<Measure> {
+        Ok(Measure {
+            finder: table.peak,
+            choice: table.choose,
+            align: table.align,
+            filters: self.filters(table, camera, frames)?,
+        })
+    }
+
+    fn filters(&self, table: &MeasureTable, camera: &Camera, frames: u32) -> Result<Filters> {
         let length = |value: Option<f64>, key: &str, mm: f64| -> Result<Option<f64>> {
             let key = format!("measure.{key}");
             let length = value.map(|value| self.positive(value, &key));

@@ -323,7 +323,7 @@ impl Resolver<'_> {
         let camera = self.camera(&file.camera, &file.scan, &camera_from_laser)?;
         let (scan, poses_hash) = self.scan(&file.scan, camera.sensor.exposure_ms)?;
         let speckle = self.speckle(&file, &camera, &surface)?;
-        let filters = self.filters(&file.measure, &camera, scan.frames)?;
+        let measure = self.measure(&file.measure, &camera, scan.frames)?;
         let (calibration, calibration_hash) = self.calibration(&file, &camera)?;
         let by_field = speckle.is_some_and(|s| s.method == Method::Field);
         self.accept(&file.accept)?;
@@ -362,12 +362,7 @@ impl Resolver<'_> {
             head_from_camera,
             auto_exposure,
             sensor,
-            measure: Measure {
-                finder: file.measure.peak,
-                choice: file.measure.choose,
-                align: file.measure.align,
-                filters,
-            },
+            measure,
             bands: self.bands(&file.inspect)?,
             scan,
             calibration,

@@ -127,7 +127,7 @@ pub fn sheet(mut scene: Scene, out: &Path, control: &Control) -> Result<SheetSum
     let [least, most] = means.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], m| {
         [a.min(m), b.max(m)]
     });
-    let linearity_um = (most >= least).then(|| most - least);
+    let linearity_um = (most >= least).then_some(most - least);
     let summary = SheetSummary {
         sensor: scene.path.clone(),
         linearity_um,
@@ -228,13 +228,7 @@ impl Target<'_> {
             predicted_um: 1e3 * predicted,
         });
         let noise = rms(&|p| p.noise);
-        place.closed_form_um = simulation.scene.speckle.map(|model| {
-            let law = |p: &Height| {
-                let h = simulation.plan.grain.speckle_extent_px[1];
-                p.per_row * centroid_noise(h, p.width, model.coherence.contrast())
-            };
-            1e3 * rms(&law).hypot(noise)
-        });
+        place.closed_form_um = closed_form(&simulation, &points).map(|mm| 1e3 * mm.hypot(noise));
         let rho = simulation.column_correlation();
         let share = (noise / predicted).powi(2).min(1.0);
         let correlated = share + (1.0 - share) * sum_of_both_sides(rho);
@@ -382,6 +376,14 @@ impl Heights {
             .filter_map(|(peak, error)| self.point(simulation, peak, error))
             .collect()
     }
+}
+
+/// Root mean square over the points of what [`centroid_noise`] says of their heights, mm.
+fn closed_form(simulation: &Simulation, points: &[Height]) -> Option<f64> {
+    let contrast = simulation.scene.speckle?.coherence.contrast();
+    let h = simulation.plan.grain.speckle_extent_px[1];
+    let law = |p: &Height| p.per_row * centroid_noise(h, p.width, contrast);
+    root_mean_square(points.iter().map(law))
 }
 
 /// Σ_k ρ_k up to so many columns apart, of errors of this mean square.
