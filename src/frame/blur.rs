@@ -14,7 +14,7 @@ use super::light::Light;
 use super::pixels::{Pixels, Rows};
 use super::pupil::Pupil;
 use super::reference::Seen;
-use super::speckle::{Reader, power};
+use super::speckle::{Reader, Speckle, power};
 use super::transform::{Band, Drawn, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use rayon::prelude::*;
@@ -55,49 +55,61 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
         pixels.keep_columns(columns);
     }
     let rows = Rows::new(pixels);
-    let speckle = view.speckle.as_ref();
-    let side = light.nodes.transformed();
-    let Some(speckle) = speckle.filter(|_| view.lens.blur == Blur::Coherent) else {
-        let image = [Drawn::at(0.0, 0.0, side)];
-        let means = |light: &Light| {
-            let spread = |tile: &Tile| tile.spread(light, &image);
-            let parts: Vec<_> = tiles.par_iter().map(spread).collect();
-            let mut means = vec![0.0; rows.total()];
-            sum_of(&tiles, &parts, &rows, &mut means, |sums, mean| {
-                mean[0] = sums[0].re.max(0.0);
-            });
-            means
-        };
-        let mut light = light;
-        let all = means(&light);
-        if speckle.is_none() {
-            return Light::spread(
-                rows,
-                Nodes::new(Grid::Even { per_side: 1 }),
-                all,
-                Vec::new(),
-            );
+    match &view.speckle {
+        Some(speckle) if view.lens.blur == Blur::Coherent => {
+            field_behind(&light, view, speckle, &tiles, rows)
         }
-        let seen = seen_nearest(&light, &rows, beyond as usize);
-        let nodes = Nodes::new(view.grid);
-        let irradiance = within_pixels(&all, &rows, &nodes);
-        let mut polarised = Vec::new();
-        if !light.polarised.is_empty() {
-            // The lens spreads what is polarised with the rest.
-            let each = light.irradiance.iter_mut().zip(&light.polarised);
-            each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
-            let degrees = means(&light).into_iter().zip(&all);
-            let count = nodes.places().len();
-            polarised.extend(degrees.flat_map(|(kept, &all)| {
-                let degree = (kept / all).clamp(0.0, 1.0);
-                std::iter::repeat_n(if degree.is_nan() { 0.0 } else { degree }, count)
-            }));
-        }
-        return Light {
-            polarised,
-            ..Light::spread(rows, nodes, irradiance, seen)
-        };
+        _ => mean_behind(light, view, &tiles, rows, beyond as usize),
+    }
+}
+
+/// The mean of the light behind the lens, at the places at which speckle is read.
+fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
+    let image = [Drawn::at(0.0, 0.0, light.nodes.transformed())];
+    let means = |light: &Light| {
+        let spread = |tile: &Tile| tile.spread(light, &image);
+        let parts: Vec<_> = tiles.par_iter().map(spread).collect();
+        let mut means = vec![0.0; rows.total()];
+        sum_of(tiles, &parts, &rows, &mut means, |sums, mean| {
+            mean[0] = sums[0].re.max(0.0);
+        });
+        means
     };
+    let all = means(&light);
+    if view.speckle.is_none() {
+        let nodes = Nodes::new(Grid::Even { per_side: 1 });
+        return Light::spread(rows, nodes, all, Vec::new());
+    }
+    let seen = seen_nearest(&light, &rows, beyond);
+    let nodes = Nodes::new(view.grid);
+    let irradiance = within_pixels(&all, &rows, &nodes);
+    let mut polarised = Vec::new();
+    if !light.polarised.is_empty() {
+        // The lens spreads what is polarised with the rest.
+        let each = light.irradiance.iter_mut().zip(&light.polarised);
+        each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
+        let degrees = means(&light).into_iter().zip(&all);
+        let count = nodes.places().len();
+        polarised.extend(degrees.flat_map(|(kept, &all)| {
+            let degree = (kept / all).clamp(0.0, 1.0);
+            std::iter::repeat_n(if degree.is_nan() { 0.0 } else { degree }, count)
+        }));
+    }
+    Light {
+        polarised,
+        ..Light::spread(rows, nodes, irradiance, seen)
+    }
+}
+
+/// The intensity of the field behind the lens.
+fn field_behind(
+    light: &Light,
+    view: &View,
+    speckle: &Speckle,
+    tiles: &[Tile],
+    rows: Rows,
+) -> Light {
+    let side = light.nodes.transformed();
     let nodes = Nodes::new(defocus::grid_behind(view));
     let images: Vec<Drawn> = nodes
         .places()
@@ -113,9 +125,9 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
             let amplitude = reader.amplitude(pattern, sample.place, sample.seen);
             amplitude * wider * power(pattern, sample.polarised).sqrt()
         };
-        let spread = |tile: &Tile| tile.spread_field(&light, &images, field);
+        let spread = |tile: &Tile| tile.spread_field(light, &images, field);
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
-        sum_of(&tiles, &parts, &rows, &mut irradiance, |sums, values| {
+        sum_of(tiles, &parts, &rows, &mut irradiance, |sums, values| {
             for (value, sum) in values.iter_mut().zip(sums) {
                 *value += weight * sum.norm_sqr();
             }

@@ -170,7 +170,7 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
         let mut splats = Vec::new();
         for first in paths.clone().step_by(WIDTH) {
             let last = (first + WIDTH as u32).min(paths.end);
-            tracer.from_laser(first..last, &sequence, &mut splats);
+            tracer.laser_paths(first..last, &sequence, &mut splats);
         }
         splats
     });
@@ -180,21 +180,12 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
         let sequence = Sequence::new(key.with(1).with((task / blocks.per_block) as u64));
         for first in (0..blocks.columns()).step_by(WIDTH) {
             let columns = first..(first + WIDTH as u32).min(blocks.columns());
-            tracer.from_camera(&blocks, task, columns, &sequence, &mut splats);
+            tracer.camera_paths(&blocks, task, columns, &sequence, &mut splats);
         }
         splats
     });
-    let mut pixels = Pixels::none(resolution);
+    let pixels = lit_pixels(&image, resolution, region);
     let columns = resolution.x as usize;
-    let lit = |pixel: usize| image[pixel] > 0.0;
-    for row in 0..resolution.y as usize {
-        for column in (0..columns).filter(|column| lit(row * columns + column)) {
-            pixels.insert(row, column, column);
-        }
-    }
-    if let Region::Columns(_, columns) = region {
-        pixels.keep_columns(columns);
-    }
     let lit = || {
         let rows = 0..resolution.y as usize;
         rows.flat_map(|row| pixels.of(row).map(move |column| row * columns + column))
@@ -208,6 +199,21 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
         mean: Irradiance::new(Rows::new(pixels), values),
         contrast,
     }
+}
+
+/// The pixels of a region that have light in an image.
+fn lit_pixels(image: &[f64], resolution: glam::UVec2, region: &Region) -> Pixels {
+    let mut pixels = Pixels::none(resolution);
+    let columns = resolution.x as usize;
+    for (row, values) in image.chunks(columns).enumerate() {
+        for column in (0..columns).filter(|&column| values[column] > 0.0) {
+            pixels.insert(row, column, column);
+        }
+    }
+    if let Region::Columns(_, columns) = region {
+        pixels.keep_columns(columns);
+    }
+    pixels
 }
 
 /// The laser's power that falls on the part, and of it what meets the part again after one reflection, mW, by
@@ -420,7 +426,7 @@ impl Tracer<'_> {
         (paths, numbers)
     }
 
-    fn from_laser(&self, indices: Range<u32>, sequence: &Sequence, splats: &mut Vec<Splat>) {
+    fn laser_paths(&self, indices: Range<u32>, sequence: &Sequence, splats: &mut Vec<Splat>) {
         let (paths, numbers) = self.walked(indices, sequence);
         let mut between = Vec::new();
         for (path, numbers) in paths.iter().zip(&numbers) {
@@ -463,7 +469,7 @@ impl Tracer<'_> {
     }
 
     /// One path in each of a row of blocks.
-    fn from_camera(
+    fn camera_paths(
         &self,
         blocks: &Blocks,
         task: u32,

@@ -120,10 +120,8 @@ impl Characteristic {
     pub fn of(named: Named, places: Vec<(String, Vec<Option<f64>>)>) -> Characteristic {
         let seeds = places.first().map_or(0, |(_, values)| values.len());
         let largest = |seed: usize| {
-            let of_seed = places.iter().map(|(_, values)| values[seed]);
-            of_seed.fold(Some(0.0), |most: Option<f64>, value| {
-                Some(most?.max(value?.abs()))
-            })
+            let mut of_seed = places.iter().map(|(_, values)| values[seed]);
+            of_seed.try_fold(0.0, |most: f64, value| Some(most.max(value?.abs())))
         };
         let largest: Option<Vec<f64>> = (0..seeds).map(largest).collect();
         let largest = largest.and_then(|values| Spread::of(&values));

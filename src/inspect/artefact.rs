@@ -28,7 +28,7 @@ impl Sphere {
             .map(|p| p.distance_squared(middle))
             .sum::<f64>();
         let size = (size / n).sqrt();
-        if points.len() < 4 || !(size > 0.0) {
+        if points.len() < 4 || size.is_nan() || size <= 0.0 {
             return None;
         }
         let local: Vec<DVec3> = points.iter().map(|&p| (p - middle) / size).collect();
@@ -111,7 +111,7 @@ fn least_squares(rows: impl Iterator<Item = (Vector4<f64>, f64)>) -> Option<Vect
     let eigen = SymmetricEigen::new(matrix);
     let least = eigen.eigenvalues.min();
     // Rounding leaves some 1e-16 of points in a plane.
-    if !(least > 1e-13 * count) {
+    if least.is_nan() || least <= 1e-13 * count {
         return None;
     }
     matrix.cholesky().map(|factor| factor.solve(&right))

@@ -16,22 +16,16 @@ const DISTANCE: &str = "from the laser along the beam, mm";
 pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     let [near, far] = figures.ends();
     let [_, eye_y, eye_z] = figures.camera_mm;
-    let finite = |cut: &[(f64, f64)]| {
-        cut.iter()
-            .copied()
-            .filter(|(_, z)| z.is_finite())
-            .collect::<Vec<_>>()
-    };
-    let [along, across] = [finite(&cuts.along_line), finite(&cuts.across_line)];
+    let [along, across] = [&cuts.along_line, &cuts.across_line].map(|cut| {
+        let met = cut.iter().copied().filter(|(_, z)| z.is_finite());
+        met.collect::<Vec<_>>()
+    });
     let deepest = along.iter().chain(&across).map(|&(_, z)| z);
     // A part may be far deeper or wider than what is measured.
     let bottom = deepest.fold(far, f64::max).min(far + (far - near)) + 0.05 * far;
     let top = eye_z.min(0.0) - 0.03 * far;
-    let field = figures
-        .places
-        .iter()
-        .flat_map(|place| place.field_mm)
-        .fold(0.0, |most: f64, x| most.max(x.abs()));
+    let ends = figures.places.iter().flat_map(|place| place.field_mm);
+    let field = ends.fold(0.0, |most: f64, x| most.max(x.abs()));
     let wide = |cut: &[(f64, f64)], least: f64| {
         let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
         1.1 * least.max(most.min(2.0 * least))
@@ -63,38 +57,26 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     for end in [near, far] {
         seen.curve(&mut svg, [(eye_y, eye_z), (0.0, end)], SIGHT);
     }
-    let range = 0.004 * far;
-    seen.band(
-        &mut svg,
-        &[(-range, near), (range, near)],
-        &[(-range, far), (range, far)],
-        FIELD,
-    );
+    let across = |z: f64| [(-0.004 * far, z), (0.004 * far, z)];
+    seen.band(&mut svg, &across(near), &across(far), FIELD);
     draw_cut(&seen, &mut svg, &cuts.across_line, beside, [top, bottom]);
     Mark::Dot.draw(&mut svg, seen.at(0.0, 0.0), "fill='#c0392b'");
     Mark::Dot.draw(&mut svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
 
-    let ends = [-line, line];
-    let front = axes(lefts[1], "Seen across the line", "along the line, mm", ends);
-    front.draw(&mut svg);
-    for side in [0, 1] {
-        let slopes = figures
-            .places
-            .iter()
-            .map(|place| place.field_mm[side] / place.distance_mm);
-        let widest = slopes.max_by(|a, b| a.abs().total_cmp(&b.abs()));
-        let x = widest.map_or(0.0, |slope| slope * far);
-        front.curve(&mut svg, [(0.0, 0.0), (x, far)], LIGHT);
-    }
-    let side = |i: usize| {
-        figures
-            .places
-            .iter()
-            .map(move |place| (place.field_mm[i], place.distance_mm))
-    };
-    let [left, right] = [0, 1].map(|i| side(i).collect::<Vec<_>>());
-    front.band(&mut svg, &left, &right, FIELD);
-    draw_cut(&front, &mut svg, &cuts.along_line, ends, [top, bottom]);
+    let front = axes(
+        lefts[1],
+        "Seen across the line",
+        "along the line, mm",
+        [-line, line],
+    );
+    draw_front(&mut svg, &front, figures);
+    draw_cut(
+        &front,
+        &mut svg,
+        &cuts.along_line,
+        [-line, line],
+        [top, bottom],
+    );
     Mark::Dot.draw(&mut svg, front.at(0.0, 0.0), "fill='#c0392b'");
 
     let entries = [
@@ -105,6 +87,29 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     ];
     legend(&mut svg, [lefts[0], height + 115.0], [130.0, 0.0], &entries);
     svg.finish()
+}
+
+/// The beam from the front, and what is measured of it.
+fn draw_front(svg: &mut Svg, front: &Axes, figures: &SensorFigures) {
+    let [_, far] = figures.ends();
+    front.draw(svg);
+    for side in [0, 1] {
+        let slopes = figures
+            .places
+            .iter()
+            .map(|place| place.field_mm[side] / place.distance_mm);
+        let widest = slopes.max_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let x = widest.map_or(0.0, |slope| slope * far);
+        front.curve(svg, [(0.0, 0.0), (x, far)], LIGHT);
+    }
+    let side = |i: usize| {
+        figures
+            .places
+            .iter()
+            .map(move |place| (place.field_mm[i], place.distance_mm))
+    };
+    let [left, right] = [0, 1].map(|i| side(i).collect::<Vec<_>>());
+    front.band(svg, &left, &right, FIELD);
 }
 
 /// A cut in its pieces, as far as they are in view.

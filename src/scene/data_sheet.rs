@@ -87,6 +87,7 @@ const STEEPEST: f64 = 75.0;
 
 impl DataSheet {
     /// All values of laser and camera. Errors: what contradicts.
+    #[expect(clippy::too_many_lines, reason = "a table of one row a value")]
     pub fn solve(&self) -> Result<Vec<SolvedValue>, Contradiction> {
         self.check()?;
         let [near, far] = [self.field_near_mm, self.field_far_mm];
@@ -204,7 +205,7 @@ impl DataSheet {
                 return Err((key, "a number from 1e-3 to 1e6".to_owned()));
             }
         }
-        if !(self.field_near_mm < self.field_far_mm * 0.999) {
+        if self.field_near_mm >= self.field_far_mm * 0.999 {
             let expected = format!(
                 "more than field_near_mm = {}: a camera sees more of what is farther",
                 self.field_near_mm
@@ -246,7 +247,7 @@ impl DataSheet {
                 };
                 let follows = optics.pupil[0];
                 match given {
-                    Some(given) if !((given / follows - 1.0).abs() < 0.01) => {
+                    Some(given) if (given / follows - 1.0).abs() >= 0.01 => {
                         let expected = format!(
                             "{follows:.2}, which triangulation_deg = {angle} makes of these fields, or one of the \
                              two left out"

@@ -240,41 +240,6 @@ impl Resolver<'_> {
             "camera.bit_depth",
             "from 8 to 16",
         )?;
-        let not_negative = |value: f64, key: &str| {
-            let holds = value.is_finite() && value >= 0.0;
-            let key = format!("camera.{key}");
-            self.check(holds, &key, "a finite number >= 0")?;
-            self.within(value, &key, [0.0, 1e12])
-        };
-        let beside_read_noise = [
-            (table.dark_current_e_per_s, "dark_current_e_per_s"),
-            (table.prnu_percent, "prnu_percent"),
-            (table.dsnu_e, "dsnu_e"),
-        ];
-        let mut further = [0.0; 3];
-        for ((value, key), further) in beside_read_noise.into_iter().zip(&mut further) {
-            let Some(value) = value else { continue };
-            let expected =
-                "read_noise_e beside it, 0 if there is none: without that key counts have no noise";
-            self.check(
-                table.read_noise_e.is_some(),
-                &format!("camera.{key}"),
-                expected,
-            )?;
-            *further = not_negative(value, key)?;
-        }
-        let [dark_current_e_per_s, prnu_percent, dsnu_e] = further;
-        let share = "a number from 0 to 25";
-        self.check(prnu_percent <= 25.0, "camera.prnu_percent", share)?;
-        let noise = match table.read_noise_e {
-            Some(e) => Some(Noise {
-                read_noise_e: not_negative(e, "read_noise_e")?,
-                dark_current_e_per_s,
-                prnu: prnu_percent * 1e-2,
-                dsnu_e,
-            }),
-            None => None,
-        };
         let exposure_ms = match (table.exposure_ms, table.exposure, frame_rate_hz) {
             (Some(exposure_ms), ..) => positive(exposure_ms, "exposure_ms")?,
             (None, Some(AutoExposure::Auto), rate) => match rate {
@@ -291,9 +256,49 @@ impl Resolver<'_> {
             gain_dn_per_e: positive(table.gain_dn_per_e, "gain_dn_per_e")?,
             bit_depth: table.bit_depth,
             full_well_e: positive(table.full_well_e, "full_well_e")?,
-            black_level_dn: not_negative(table.black_level_dn, "black_level_dn")?,
-            noise,
+            black_level_dn: self.not_negative(table.black_level_dn, "black_level_dn")?,
+            noise: self.noise(table)?,
         })
+    }
+
+    /// A value of the camera.
+    fn not_negative(&self, value: f64, key: &str) -> Result<f64> {
+        let holds = value.is_finite() && value >= 0.0;
+        let key = format!("camera.{key}");
+        self.check(holds, &key, "a finite number >= 0")?;
+        self.within(value, &key, [0.0, 1e12])
+    }
+
+    fn noise(&self, table: &CameraTable) -> Result<Option<Noise>> {
+        let beside_read_noise = [
+            (table.dark_current_e_per_s, "dark_current_e_per_s"),
+            (table.prnu_percent, "prnu_percent"),
+            (table.dsnu_e, "dsnu_e"),
+        ];
+        let mut further = [0.0; 3];
+        for ((value, key), further) in beside_read_noise.into_iter().zip(&mut further) {
+            let Some(value) = value else { continue };
+            let expected =
+                "read_noise_e beside it, 0 if there is none: without that key counts have no noise";
+            self.check(
+                table.read_noise_e.is_some(),
+                &format!("camera.{key}"),
+                expected,
+            )?;
+            *further = self.not_negative(value, key)?;
+        }
+        let [dark_current_e_per_s, prnu_percent, dsnu_e] = further;
+        let share = "a number from 0 to 25";
+        self.check(prnu_percent <= 25.0, "camera.prnu_percent", share)?;
+        let Some(read_noise_e) = table.read_noise_e else {
+            return Ok(None);
+        };
+        Ok(Some(Noise {
+            read_noise_e: self.not_negative(read_noise_e, "read_noise_e")?,
+            dark_current_e_per_s,
+            prnu: prnu_percent * 1e-2,
+            dsnu_e,
+        }))
     }
 
     pub(super) fn camera_pose(&self, table: &CameraTable) -> Result<Rigid> {

@@ -280,6 +280,37 @@ fn number<S: serde::Serializer>(
     serializer.serialize_u64(copies.len() as u64)
 }
 
+/// A part's triangles.
+struct PartMesh {
+    mesh: Arc<Mesh>,
+    groups: Arc<Groups>,
+    /// What stands for a mesh file in the scene's hash.
+    hash: Vec<u8>,
+    /// If the file does not state one itself.
+    unit: Option<Unit>,
+}
+
+impl PartMesh {
+    fn new((mesh, groups): (Mesh, Groups), hash: Vec<u8>, unit: Option<Unit>) -> PartMesh {
+        PartMesh {
+            mesh: Arc::new(mesh),
+            groups: Arc::new(groups),
+            hash,
+            unit,
+        }
+    }
+
+    /// That of a scene.
+    fn of(scene: &Scene) -> PartMesh {
+        PartMesh {
+            mesh: scene.mesh.clone(),
+            groups: scene.groups.clone(),
+            hash: Vec::from(&*scene.hash),
+            unit: scene.mesh_unit,
+        }
+    }
+}
+
 impl Resolver<'_> {
     /// `like` is a scene with the same part.
     fn scene(
@@ -288,21 +319,16 @@ impl Resolver<'_> {
         sensor: Vec<SolvedValue>,
         like: Option<&Scene>,
     ) -> Result<Scene> {
-        let ((mesh, groups), mesh_hash, mesh_unit) = match like {
-            Some(scene) => (
-                (scene.mesh.clone(), scene.groups.clone()),
-                Vec::from(&*scene.hash),
-                scene.mesh_unit,
-            ),
-            None => {
-                let ((mesh, groups), hash, unit) = self.mesh(&file.part)?;
-                ((Arc::new(mesh), Arc::new(groups)), hash, unit)
-            }
+        let PartMesh {
+            mesh,
+            groups,
+            hash: mesh_hash,
+            unit: mesh_unit,
+        } = match like {
+            Some(scene) => PartMesh::of(scene),
+            None => self.mesh(&file.part)?,
         };
-        let chord = match file.part.mesh.as_ref().and_then(|table| table.chord_um) {
-            Some(chord_um) => self.positive(chord_um, "part.mesh.chord_um")? * 1e-3,
-            None => 0.0,
-        };
+        let chord = self.chord(&file.part)?;
         let part = file.part.in_words();
         let (copies, copies_hash) = self.copies(&file.part, like)?;
         let part_at_rest = self.part_at_rest(&file.part)?;
@@ -332,15 +358,10 @@ impl Resolver<'_> {
             (file.write_frames, laser.fan.is_some()),
             by_field,
         )?;
-        let mut hash = Sha256::new();
-        hash.update(self.source.text());
-        hash.update(mesh_hash);
-        hash.update(copies_hash);
-        hash.update(poses_hash);
-        hash.update(calibration_hash);
+        let hashed = [mesh_hash, copies_hash, poses_hash, calibration_hash];
         Ok(Scene {
             path: self.path.to_owned(),
-            hash: hash.finalize().iter().map(|b| format!("{b:02x}")).collect(),
+            hash: self.hash(&hashed),
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
@@ -368,6 +389,23 @@ impl Resolver<'_> {
             calibration,
             accept: file.accept,
         })
+    }
+
+    /// Of the scene's text and what stands for its files.
+    fn hash(&self, files: &[Vec<u8>]) -> String {
+        let mut hash = Sha256::new();
+        hash.update(self.source.text());
+        files.iter().for_each(|bytes| hash.update(bytes));
+        let bytes = hash.finalize();
+        bytes.iter().map(|b| format!("{b:02x}")).collect()
+    }
+
+    /// How far the triangles may be off the part, mm.
+    fn chord(&self, part: &PartTable) -> Result<f64> {
+        match part.mesh.as_ref().and_then(|table| table.chord_um) {
+            Some(chord_um) => Ok(self.positive(chord_um, "part.mesh.chord_um")? * 1e-3),
+            None => Ok(0.0),
+        }
     }
 
     /// Where the copies of the mesh stand, and the hash of the file that says so.
@@ -416,9 +454,7 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
-    /// The part's mesh, the bytes that stand for a mesh file in the hash, and its unit if the file does
-    /// not state one itself.
-    fn mesh(&self, part: &PartTable) -> Result<((Mesh, Groups), Vec<u8>, Option<Unit>)> {
+    fn mesh(&self, part: &PartTable) -> Result<PartMesh> {
         let kinds = [
             part.mesh.is_some(),
             part.plane.is_some(),
@@ -432,7 +468,7 @@ impl Resolver<'_> {
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
         let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
-            Ok(mesh) => Ok(((mesh, Groups::default()), Vec::new(), None)),
+            Ok(mesh) => Ok(PartMesh::new((mesh, Groups::default()), Vec::new(), None)),
             Err(wrong) => {
                 let key = format!("{table}.{}", wrong.argument);
                 Err(self.source.wrong(&key, &wrong.expected))
@@ -467,7 +503,7 @@ impl Resolver<'_> {
                 let expected = "a mesh with a surface";
                 return Err(InputError::new(&file, Place::File, found, expected).into());
             }
-            return Ok(((mesh, groups), hash, unit));
+            return Ok(PartMesh::new((mesh, groups), hash, unit));
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

@@ -119,7 +119,7 @@ mod tests {
             "seed = 1\n[part]\nmesh = {{ file = \"{}\", unit = \"mm\" }}",
             mesh.name()
         );
-        assert_eq!(files(&good).unwrap(), [mesh.clone()]);
+        assert_eq!(files(&good).unwrap(), std::slice::from_ref(&mesh));
         for (bad, word) in [
             ("[part]\nmesh.file = \"/etc/passwd\"", "part.mesh.file"),
             ("[part]\nmesh.file = \"part.stl\"", "expected \"sha256:"),

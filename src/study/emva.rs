@@ -71,6 +71,19 @@ struct Series {
     images: u64,
 }
 
+/// Up to an exposure of `longest_ms`, at which the sensor saturates.
+fn all_series(longest_ms: f64) -> Vec<Series> {
+    let both = |exposure_ms: f64, images: u64| {
+        [true, false].map(|lit| Series {
+            exposure_ms,
+            lit,
+            images,
+        })
+    };
+    let rising = levels().flat_map(|level| both(level * longest_ms, PAIR));
+    rising.chain(both(MIDDLE * longest_ms, STACK)).collect()
+}
+
 /// Writes `images/*.png`, `EMVA1288descriptor.txt` and `emva.json`: series at constant light over rising exposures up to beyond saturation, at
 /// the exposure of the sensor's file, each with one in the dark. Errors: a sensor without noise; files.
 pub fn emva(
@@ -80,10 +93,8 @@ pub fn emva(
     control: &Control,
 ) -> Result<EmvaSummary> {
     let base = SensorScene::read(sensor)?;
-    let plate = Table::from_iter([(
-        "size_mm".to_owned(),
-        Value::Array(vec![Value::Float(1.0); 2]),
-    )]);
+    let size = Value::Array(vec![Value::Float(1.0); 2]);
+    let plate = Table::from_iter([("size_mm".to_owned(), size)]);
     let mut scene = base.with_part("plane", Value::Table(plate))?;
     scene.seed = seed.unwrap_or(scene.seed);
     let wavelength = scene.laser.beam.wavelength;
@@ -99,17 +110,7 @@ pub fn emva(
     let longest_ms = camera.exposure_ms;
     let light = saturation_e / camera.electrons_per_irradiance(wavelength);
 
-    let mut series = Vec::new();
-    let both = |exposure_ms: f64, images: u64| {
-        [true, false].map(|lit| Series {
-            exposure_ms,
-            lit,
-            images,
-        })
-    };
-    series.extend(levels().flat_map(|level| both(level * longest_ms, PAIR)));
-    series.extend(both(MIDDLE * longest_ms, STACK));
-
+    let series = all_series(longest_ms);
     files::create_folder(out)?;
     let folder = out.join("images");
     files::create_own_folder(&folder)?;
@@ -117,19 +118,14 @@ pub fn emva(
     let mut text = format!("v 4.0\nn {} {columns} {rows}\n", camera.bit_depth);
     let done = AtomicU64::new(0);
     for (number, series) in series.iter().enumerate() {
-        let sensor = Sensor {
-            exposure_ms: series.exposure_ms,
-            ..camera.clone()
-        };
+        let mut sensor = camera.clone();
+        sensor.exposure_ms = series.exposure_ms;
         let light = if series.lit { light } else { 0.0 };
         let electrons = light * sensor.electrons_per_irradiance(wavelength);
         let nanoseconds = series.exposure_ms * 1e6;
+        let photons = electrons / sensor.quantum_efficiency;
         let _ = match series.lit {
-            true => writeln!(
-                text,
-                "b {nanoseconds} {}",
-                electrons / sensor.quantum_efficiency
-            ),
+            true => writeln!(text, "b {nanoseconds} {photons}"),
             false => writeln!(text, "d {nanoseconds}"),
         };
         let image = Irradiance::even(sensor.resolution, light as f32);

@@ -98,6 +98,7 @@ fn closed_after(served: &Served, bytes: &[u8]) -> (u16, Duration) {
 
 /// All wait at the same time: ten seconds are the program's own, and no test may wait for each after the other.
 #[test]
+#[expect(clippy::too_many_lines, reason = "one attack after the other")]
 fn slow_clients_and_huge_heads_are_let_go() {
     let store = tempfile::tempdir().unwrap();
     let served = Served::start(store.path(), &[]);

@@ -133,6 +133,7 @@ fn a_job_sent_again_with_its_key_is_the_same_job() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of one row a case")]
 fn mistakes_are_said_with_what_to_do() {
     let store = tempfile::tempdir().unwrap();
     let served = Served::start(store.path(), &["--file-mb", "1"]);

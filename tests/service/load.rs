@@ -11,6 +11,10 @@ use std::time::{Duration, Instant};
 const CLIENTS: usize = 16;
 
 /// Every job is sent twice with its key, by another client each time.
+#[expect(
+    clippy::too_many_lines,
+    reason = "clients, and what is counted of them"
+)]
 fn load(jobs: usize) {
     let store = tempfile::tempdir().unwrap();
     let served = Served::start(store.path(), &["--jobs", "2"]);
