@@ -7,8 +7,10 @@ use program::{PLANE, assert_error, folder_with, run, scene};
 use serde_json::Value;
 use std::fs;
 
-/// Name, and offset of a property in a vertex; and the vertices.
-fn ply(bytes: &[u8]) -> (Vec<(String, usize, usize)>, &[u8], usize) {
+/// Name, offset and size of each property of a vertex; the vertices; and a vertex's size.
+type Ply<'a> = (Vec<(String, usize, usize)>, &'a [u8], usize);
+
+fn ply(bytes: &[u8]) -> Ply<'_> {
     let end = b"end_header\n";
     let header = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
     let text = std::str::from_utf8(&bytes[..header]).unwrap();
@@ -32,6 +34,7 @@ fn ply(bytes: &[u8]) -> (Vec<(String, usize, usize)>, &[u8], usize) {
 
 /// A plane 0.1 mm too high for its CAD would be all fail; here it is as it should be, and the bands differ.
 #[test]
+#[expect(clippy::too_many_lines, reason = "one scan and all that is said of it")]
 fn regions_sum_up_the_verdicts_of_the_cloud() {
     let bands = "[inspect]\nband_mm = [-1, 1]\n\
                  [inspect.regions.left]\nbox_mm = [[-20, -20, -1], [0, 20, 1]]\nband_mm = [0.2, 0.4]\n\
