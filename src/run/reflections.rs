@@ -38,14 +38,14 @@ const MOST: u32 = 1 << 24;
 /// Roughness from which on paths from the laser find all that the camera sees; below, lobes are too narrow to be
 /// met by chance.
 const ROUGH: f64 = 0.3;
-/// Time of a path from the laser and of one from the camera, ns of one core: measured in `scenes/corner`.
+/// Time of a path from the laser and of one from the camera, ns of one core.
 const PATH_NS: f64 = 4e3;
 const CAMERA_PATH_NS: f64 = 1.5e4;
 
 /// What of the laser's light meets the part again after it was reflected once.
 pub(crate) struct MetAgain {
-    /// Of that which meets it at all, the largest of frames.
-    share: f64,
+    /// Of that which meets it at all, the largest of frames; `None` of matt parts for which nobody asked.
+    share: Option<f64>,
     /// Frames with most of it.
     frames: Vec<u32>,
 }
@@ -53,6 +53,12 @@ pub(crate) struct MetAgain {
 impl MetAgain {
     /// In frames all over the path.
     pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &Plan) -> Result<MetAgain> {
+        if scene.surface.glossy().next().is_none() && scene.methods.reflections.is_none() {
+            return Ok(MetAgain {
+                share: None,
+                frames: Vec::new(),
+            });
+        }
         let simulation = Simulation::with_plan(scene, accel.clone(), silent(plan))?;
         let frames = spread_frames(scene.scan.frames, FRAMES);
         let share = |&frame: &u32| {
@@ -65,7 +71,7 @@ impl MetAgain {
         shares.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let some = shares.iter().filter(|(share, _)| *share > 0.0);
         Ok(MetAgain {
-            share: shares.first().map_or(0.0, |(share, _)| *share),
+            share: Some(shares.first().map_or(0.0, |(share, _)| *share)),
             frames: some.take(MEASURED).map(|&(_, frame)| frame).collect(),
         })
     }
@@ -74,13 +80,14 @@ impl MetAgain {
     /// further ones carry less than [`REST`].
     pub fn most(&self, scene: &Scene) -> u32 {
         let methods = &scene.methods;
-        if methods.geometry_only == Some(true) || self.share <= 0.0 {
-            return 1;
-        }
+        let share = match self.share {
+            Some(share) if share > 0.0 && methods.geometry_only != Some(true) => share,
+            _ => return 1,
+        };
         let chosen = match scene.surface.glossy().next() {
             None => 1,
             Some(_) => {
-                let reflections = REST.ln() / self.share.min(0.9).ln();
+                let reflections = REST.ln() / share.min(0.9).ln();
                 (reflections.ceil() as u32).clamp(2, MAX_REFLECTIONS)
             }
         };
@@ -95,17 +102,18 @@ impl MetAgain {
         plan: &Plan,
     ) -> Result<(Option<Reflections>, Effect)> {
         let most = self.most(scene);
-        let percent = 100.0 * self.share;
+        let percent = 100.0 * self.share.unwrap_or(0.0);
         if most < 2 || plan.geometry_only {
-            let why = match self.share > 0.0 {
-                false => "no light that is reflected meets the part again".to_owned(),
-                true if scene.methods.reflections.is_some() || plan.geometry_only => {
+            let why = match self.share {
+                None => "the surface is diffuse: what meets it again is wide and faint; plan.reflections = 4 \
+                         models it"
+                    .to_owned(),
+                Some(share) if share <= 0.0 => {
+                    "no light that is reflected meets the part again".to_owned()
+                }
+                Some(_) => {
                     format!("named in [plan]; {percent:.1} % of the light meets the part again")
                 }
-                true => format!(
-                    "the surface is diffuse: the {percent:.1} % of the light that meets the part again is wide \
-                     and faint; plan.reflections = 4 models it"
-                ),
             };
             let none = Effect::new(
                 EffectKind::Reflections,
