@@ -130,7 +130,7 @@ pub fn irradiance(view: &View, region: &Region) -> Irradiance {
 }
 
 /// Mean irradiance of each pixel without speckle, mW/mm²: of light reflected once, and more than once. Together they are
-/// the mean of [`irradiance`] over all speckle.
+/// the mean of `irradiance` over all speckle.
 pub fn shares(view: &View, region: &Region) -> [Irradiance; 2] {
     let mut direct = View {
         speckle: None,

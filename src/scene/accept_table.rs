@@ -1,7 +1,5 @@
 //! The acceptance test of a sensor, as its file or a scene has it.
 
-use super::resolver::Resolver;
-use crate::error::Result;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -55,44 +53,4 @@ pub struct LimitsTable {
     pub linearity: Option<f64>,
     /// Standard deviation of a height that is measured again.
     pub z_repeatability: Option<f64>,
-}
-
-impl Resolver<'_> {
-    /// Refuses what no test can have; what does not fit the volume is refused where that is known.
-    pub(super) fn accept(&self, table: &AcceptTable) -> Result<()> {
-        let limits = &table.limits_um;
-        let above_zero = [
-            (table.travel_mm, "travel_mm"),
-            (table.sphere_mm, "sphere_mm"),
-            (table.spacing_mm, "spacing_mm"),
-            (table.plate_mm, "plate_mm"),
-            (limits.probing_form, "limits_um.probing_form"),
-            (limits.probing_form_d95, "limits_um.probing_form_d95"),
-            (limits.probing_size, "limits_um.probing_size"),
-            (limits.sphere_spacing, "limits_um.sphere_spacing"),
-            (limits.flatness, "limits_um.flatness"),
-            (limits.linearity, "limits_um.linearity"),
-            (limits.z_repeatability, "limits_um.z_repeatability"),
-        ];
-        for (value, key) in above_zero {
-            if let Some(value) = value {
-                self.positive(value, &format!("accept.{key}"))?;
-            }
-        }
-        let bounded = [
-            (table.plate_tilt_deg, "plate_tilt_deg", [0.0, 60.0]),
-            (table.cap_deg, "cap_deg", [20.0, 80.0]),
-            (table.left_out_percent, "left_out_percent", [0.0, 50.0]),
-            (table.artefact_um, "artefact_um", [0.0, 1e6]),
-            (table.profiles.map(f64::from), "profiles", [3.0, 10_000.0]),
-            (table.heights.map(f64::from), "heights", [2.0, 1000.0]),
-            (table.repeats.map(f64::from), "repeats", [2.0, 10_000.0]),
-        ];
-        for (value, key, [least, most]) in bounded {
-            let holds = value.is_none_or(|value| (least..=most).contains(&value));
-            let expected = format!("a number from {least} to {most}");
-            self.check(holds, &format!("accept.{key}"), &expected)?;
-        }
-        Ok(())
-    }
 }

@@ -1,5 +1,6 @@
 //! The scene: what is written in the file, and what that means in internal units.
 
+mod accept;
 mod accept_table;
 mod data_sheet;
 mod file;
