@@ -267,7 +267,7 @@ fn assert_pieces_equal_the_whole(text: &str) {
     let vertices = |ply: &[u8]| {
         let end = b"end_header\n";
         let at = ply.windows(end.len()).position(|w| w == end).unwrap();
-        let records = ply[at + end.len()..].chunks_exact(67);
+        let records = ply[at + end.len()..].chunks_exact(75);
         let plain = |record: &[u8]| [&record[..36], &record[39..]].concat();
         records.flat_map(plain).collect::<Vec<u8>>()
     };
