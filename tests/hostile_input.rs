@@ -223,7 +223,7 @@ fn cases() -> Vec<Case> {
             "a scan with more points than fit memory",
             "ulimit -v 4000000; lasertrace scan scene.toml -o out",
             75,
-            "lasertrace: the report of a scan of 1000000 frames and about … points, 192 bytes \
+            "lasertrace: the report of a scan of 1000000 frames and about … points, 240 bytes \
              each, takes … GB, and … GB of memory are free: …",
             |folder| changed(folder, FRAMES, MANY_FRAMES),
         ),
