@@ -236,6 +236,7 @@ fn every_way_to_find_a_path_has_the_same_light() {
     for (a, b) in [(some, few), (some, many), (few, many)] {
         let error = f64::hypot(a.1, b.1);
         assert!((a.0 - b.0).abs() < 5.0 * error, "{a:?} {b:?}");
+        // Not derived: how fine a comparison this many paths are taken to be worth.
         assert!(error < 0.04 * a.0, "{error}");
     }
     let rough = Setup::groove(aluminium(0.4), 5f64.to_radians());
