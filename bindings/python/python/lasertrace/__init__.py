@@ -64,6 +64,8 @@ class Flag(_enum.IntFlag):
     """Outside the domain of the stated uncertainty."""
     GHOST = 128
     """Possibly a reflection."""
+    FILLED = 256
+    """Put into a gap between measured points; in the files of a scan only."""
 
 
 __all__ = [
