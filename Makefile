@@ -13,9 +13,9 @@ export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 demo: setup
 	cargo run --release -- scan scenes/bracket/scene.toml -o out/demo
 
-# The C library with it, in one build; its own tests compile C programs.
+# With all features and the C library, in one build; its own tests compile C programs.
 test: setup
-	cargo test -p lasertrace -p lasertrace-c --features lasertrace/service
+	cargo test -p lasertrace -p lasertrace-c --features lasertrace/service,lasertrace/race
 	bindings/python/test.sh
 
 bench: setup

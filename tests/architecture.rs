@@ -8,7 +8,7 @@ use std::path::Path;
 /// The rooms from the ground up: each may import those before it.
 const ROOMS: &[&str] = &[
     "error", "math", "mesh", "accel", "race", "laser", "surface", "camera", "speckle", "wave",
-    "frame", "profile", "plan", "inspect", "scene", "report", "run", "study", "view", "service",
+    "frame", "profile", "plan", "inspect", "scene", "report", "run", "study", "service", "view",
     "cli",
 ];
 

@@ -164,3 +164,50 @@ fn the_line_in_a_set_is_where_the_light_is() {
     }
     assert!(compared > 100, "{compared}");
 }
+
+/// A channel of an EXR file.
+fn layer(path: &Path, name: &str) -> Vec<f32> {
+    let image = exr::prelude::read_first_flat_layer_from_file(path).unwrap();
+    let channels = image.layer_data.channel_data.list;
+    let channel = channels.iter().find(|channel| channel.name.eq(name));
+    channel.unwrap().sample_data.values_as_f32().collect()
+}
+
+/// Where light is reflected more than once, a set has the share that was reflected once: that of the layers that `render`
+/// writes of the same sample.
+#[test]
+fn a_set_says_which_share_of_the_light_was_reflected_once() {
+    let corner = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/corner");
+    let folder = set_folder(&RECIPE.replace("samples = 11", "samples = 1"));
+    let text = fs::read_to_string(corner.join("scene.toml")).unwrap();
+    let text = text.replace("resolution_px = [640, 480]", "resolution_px = [40, 30]");
+    let text = text.replace("pixel_pitch_um = 11", "pixel_pitch_um = 176");
+    fs::write(folder.path().join("scene.toml"), text).unwrap();
+    fs::copy(corner.join("corner.stl"), folder.path().join("corner.stl")).unwrap();
+    let (code, _, stderr) = made(folder.path(), &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let files = unpacked(&contents(folder.path())["samples-000000.tar"]);
+    let mut npz = zip::ZipArchive::new(Cursor::new(&files["000000000.npz"])).unwrap();
+    let mut share = Vec::new();
+    let mut file = npz.by_name("direct.npy").unwrap();
+    file.read_to_end(&mut share).unwrap();
+    let number = |bytes: &[u8]| f32::from_le_bytes(bytes.try_into().unwrap());
+    let share: Vec<f32> = values(&share).chunks_exact(4).map(number).collect();
+
+    fs::write(folder.path().join("one.toml"), &files["000000000.toml"]).unwrap();
+    let about: serde_json::Value = serde_json::from_slice(&files["000000000.json"]).unwrap();
+    let frame = about["frame"].to_string();
+    let arguments = ["render", "one.toml", "--frame", &frame, "-o", "one"];
+    assert_eq!(run(folder.path(), &arguments).0, 0);
+    let exr = folder.path().join(format!("one/frame-{frame:0>6}.exr"));
+    let [direct, more] = ["direct", "reflections"].map(|name| layer(&exr, name));
+    let expected = direct
+        .iter()
+        .zip(&more)
+        .map(|(direct, more)| match direct + more {
+            0.0 => 1.0,
+            all => direct / all,
+        });
+    assert!(share == expected.collect::<Vec<f32>>());
+    assert!(share.iter().any(|&s| s == 0.0) && share.iter().any(|&s| s > 0.9 && s < 1.0));
+}

@@ -1,8 +1,7 @@
-use super::{Cli, Output, STOP};
+use super::{Output, STOP};
 use crate::error::{Error, Result};
 use crate::mesh::memory;
 use crate::service::{self, Limits, Service, Settings};
-use clap::CommandFactory;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use tracing::Level;
@@ -69,7 +68,6 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         token,
         hosts: arguments.host,
         program: program.into(),
-        sweeps: Cli::command().find_subcommand("sweep").is_some(),
         jobs_at_once: arguments.jobs.into(),
         longest_queue: arguments.queue,
         largest_file: arguments.file_mb * 1_000_000,

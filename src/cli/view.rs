@@ -1,9 +1,11 @@
 use super::{Output, STOP, SceneArguments, show};
 use crate::error::{Error, Result};
 use crate::run::Control;
-use crate::view;
+use crate::run::files;
+use crate::view::{self, Files, Listener};
 use std::net::{SocketAddr, TcpListener};
-use std::path::Path;
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 #[derive(clap::Args)]
@@ -13,6 +15,9 @@ pub struct Arguments {
     /// Address and port to answer on, of this machine alone; port 0 is one that is free
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:0")]
     listen: SocketAddr,
+    /// Socket file on which the service asks in place of a browser
+    #[arg(long, value_name = "FILE", hide = true)]
+    socket: Option<PathBuf>,
 }
 
 /// What a program that started the view needs to know.
@@ -29,8 +34,17 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
             arguments.listen
         )));
     }
-    let failed = Error::io("listen on", Path::new(&arguments.listen.to_string()));
-    let listener = TcpListener::bind(arguments.listen).map_err(failed)?;
+    let names = match arguments.socket {
+        Some(_) => Files::AsGiven,
+        None => Files::ByFullPath,
+    };
+    // Before the hierarchy is built, so that a port that is taken is said at once.
+    let address = arguments.listen.to_string();
+    let failed = || Error::io("listen on", Path::new(&address));
+    let browsers = match arguments.socket {
+        Some(_) => None,
+        None => Some(TcpListener::bind(arguments.listen).map_err(failed())?),
+    };
     let scene = pool.install(|| arguments.scene.load(output))?;
     let building = output.share("of the hierarchy built");
     let control = Control {
@@ -38,11 +52,20 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let session = Arc::new(view::Session::new(&scene, pool, &control)?);
-    let address = listener
-        .local_addr()
-        .map_err(Error::io("listen on", Path::new("the address")))?;
-    let address = format!("http://{address}/");
+    let session = Arc::new(view::Session::new(&scene, names, pool, &control)?);
+    let (listener, address) = match (browsers, arguments.socket) {
+        (Some(listener), _) => {
+            let address = listener.local_addr().map_err(failed())?;
+            (Listener::Browsers(listener), format!("http://{address}/"))
+        }
+        (None, socket) => {
+            let socket = socket.unwrap_or_default();
+            // Of a view that was killed.
+            files::remove(&socket)?;
+            let listener = UnixListener::bind(&socket).map_err(Error::io("listen on", &socket))?;
+            (Listener::Service(listener), socket.display().to_string())
+        }
+    };
     let text = format!("{address}\nopen it in a browser on this machine; Ctrl-C ends");
     output.result(&Started { address }, &text)?;
     view::serve(session, listener, &STOP)

@@ -72,7 +72,9 @@
     const answer = await fetch(`${what}?${query}`, { signal });
     if (answer.ok) return answer;
     const refused = await answer.json().catch(() => ({ message: `the server answers ${answer.status}` }));
-    throw Object.assign(new Error(refused.message), { refused });
+    // The service's own refusals name no slider.
+    const why = refused.error ?? refused;
+    throw Object.assign(new Error(why.message), { refused: why });
   };
 
   // A picture: length of its head, the head, 8 bits a pixel.

@@ -6,17 +6,17 @@ use super::refusal::{Refusal, RefusalBody};
 use super::scene_files;
 use super::shared::Service;
 use super::store::{Hash, PREFIX, ResultFile};
-use super::{metrics, upload, workers};
+use super::{metrics, upload, views, workers};
 use crate::error::Error;
 use crate::report::formats::Format;
 use crate::scene::Unit;
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{self, Path, Query};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::sse::{Event, KeepAlive, Sse};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use axum::{Json, Router};
 use futures_util::stream::{Stream, unfold};
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,7 @@ pub fn router(service: Arc<Service>) -> Router {
         .routes(routes!(events))
         .routes(routes!(list_results))
         .routes(routes!(get_result))
+        .routes(routes!(view))
         .routes(routes!(healthz))
         .routes(routes!(readyz))
         .routes(routes!(metrics_page))
@@ -69,7 +70,10 @@ pub fn router(service: Arc<Service>) -> Router {
     api.info.version = env!("CARGO_PKG_VERSION").to_owned();
     let page = Bytes::from(api.to_pretty_json().expect("the description is JSON"));
     let json = [(header::CONTENT_TYPE, "application/json")];
+    let slash = async |Path(id): Path<String>| Redirect::permanent(&format!("/v1/jobs/{id}/view/"));
     pages
+        .route("/v1/jobs/{id}/view", axum::routing::get(slash))
+        .route("/v1/jobs/{id}/view/{*page}", axum::routing::get(view_page))
         .route(
             "/v1/openapi.json",
             axum::routing::get(async move || (json, page)),
@@ -356,7 +360,6 @@ impl Asked {
         (status = 413, body = RefusalBody), (status = 415, body = RefusalBody),
         (status = 422, description = "The scene, a file or the key is wrong", body = RefusalBody),
         (status = 429, description = "Too many jobs wait", body = RefusalBody),
-        (status = 501, description = "This program has no such job", body = RefusalBody),
         (status = 507, description = "The disk is full", body = RefusalBody)))]
 async fn post_job(
     extract::State(service): Shared,
@@ -379,10 +382,6 @@ async fn post_job(
             found.unwrap_or("")
         );
         return Err(Refusal::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, message));
-    }
-    if asked.kind == Kind::Sweep && !service.settings.sweeps {
-        let message = "this program has no command sweep, so the service has no such jobs";
-        return Err(Refusal::new(StatusCode::NOT_IMPLEMENTED, message));
     }
     let key = match headers.get("idempotency-key").map(HeaderValue::to_str) {
         None => None,
@@ -633,6 +632,34 @@ fn media_type(path: &str) -> &'static str {
         "svg" => "image/svg+xml",
         _ => "application/octet-stream",
     }
+}
+
+/// The live view of a job's scene, for a browser: a page, and what it asks for.
+///
+/// Its sliders change what is seen, not the job; "save as scene" gives a scene that can be sent as a job. The view ends ten minutes after the last
+/// request.
+#[utoipa::path(get, path = "/v1/jobs/{id}/view/", params(("id" = String, Path)),
+    responses((status = 200, content_type = "text/html"), (status = 404, body = RefusalBody),
+        (status = 409, description = "The job has no scene, or waits for its turn", body = RefusalBody),
+        (status = 422, description = "The scene cannot be viewed", body = RefusalBody),
+        (status = 429, description = "Too many views are open", body = RefusalBody)))]
+async fn view(
+    extract::State(service): Shared,
+    Path(id): Path<String>,
+    uri: Uri,
+) -> Answer<Response> {
+    found(&service, &id).await?;
+    let all = uri.path_and_query().map_or("", |path| path.as_str());
+    let page = all.split_once("/view/").map_or("", |(_, page)| page);
+    views::ask(&service, &service.store.job(&id), page).await
+}
+
+async fn view_page(
+    service: Shared,
+    Path((id, _)): Path<(String, String)>,
+    uri: Uri,
+) -> Answer<Response> {
+    view(service, Path(id), uri).await
 }
 
 /// Whether the service lives.

@@ -6,9 +6,11 @@ use crate::error::{Error, Result};
 use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, Method, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -79,6 +81,7 @@ impl Guard {
 
     fn check(
         &self,
+        method: &Method,
         path: &str,
         headers: &HeaderMap,
         peer: IpAddr,
@@ -102,9 +105,15 @@ impl Guard {
         {
             return forbidden(format!("a page of {origin:?} may not ask this service"));
         }
-        if let Some(site) = text(HeaderName::from_static("sec-fetch-site"))
+        // A link from elsewhere opens a page, which the one who linked cannot read.
+        let fetch = |name| text(HeaderName::from_static(name));
+        let linked = method == Method::GET
+            && fetch("sec-fetch-mode") == Some("navigate")
+            && fetch("sec-fetch-dest") == Some("document");
+        if let Some(site) = fetch("sec-fetch-site")
             && site != "same-origin"
             && site != "none"
+            && !linked
         {
             return forbidden(format!(
                 "a page of another site ({site}) may not ask this service"
@@ -135,9 +144,9 @@ impl Guard {
                 "too many wrong tokens from this address; wait a minute",
             ));
         }
-        let given = given.and_then(|text| text.strip_prefix("Bearer "));
-        let Some(given) = given else {
-            let message = "this service wants a token: the header Authorization: Bearer TOKEN";
+        let Some(given) = given.and_then(token_in) else {
+            let message = "this service wants a token: the header Authorization: Bearer TOKEN, or in a browser as \
+                           the password, with any name";
             return Err(Refusal::new(StatusCode::UNAUTHORIZED, message));
         };
         let given: [u8; 32] = Sha256::digest(given).into();
@@ -156,11 +165,28 @@ impl Guard {
     }
 }
 
+/// The token of a header Authorization: `Bearer TOKEN`, or as browsers send a password (RFC 7617).
+fn token_in(header: &str) -> Option<String> {
+    if let Some(token) = header.strip_prefix("Bearer ") {
+        return Some(token.to_owned());
+    }
+    let pair = BASE64_STANDARD
+        .decode(header.strip_prefix("Basic ")?)
+        .ok()?;
+    let pair = String::from_utf8(pair).ok()?;
+    Some(pair.split_once(':')?.1.to_owned())
+}
+
 async fn checked(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0.ip());
     // Whoever comes on another way than by a connection has no address of its own.
     let peer = peer.unwrap_or(IpAddr::from([0, 0, 0, 0]));
-    match guard.check(request.uri().path(), request.headers(), peer) {
+    match guard.check(
+        request.method(),
+        request.uri().path(),
+        request.headers(),
+        peer,
+    ) {
         Ok(()) => next.run(request).await,
         Err(refusal) => {
             tracing::warn!(%peer, path = request.uri().path(), "refused: {}", refusal.message);
@@ -217,7 +243,7 @@ mod tests {
             let mut all = headers(pairs);
             all.insert(header::HOST, "localhost:1".parse().unwrap());
             guard
-                .check("/v1/jobs", &all, peer)
+                .check(&Method::GET, "/v1/jobs", &all, peer)
                 .map_err(|refusal| refusal.status)
         };
         assert_eq!(status(&[]), Ok(()));
@@ -232,6 +258,15 @@ mod tests {
         ] {
             assert_eq!(status(&[bad]), Err(StatusCode::FORBIDDEN), "{bad:?}");
         }
+        let link = |kind| {
+            status(&[
+                ("sec-fetch-site", "cross-site"),
+                ("sec-fetch-mode", "navigate"),
+                ("sec-fetch-dest", kind),
+            ])
+        };
+        assert_eq!(link("document"), Ok(()), "a link opens a page");
+        assert_eq!(link("iframe"), Err(StatusCode::FORBIDDEN));
     }
 
     #[test]
@@ -243,10 +278,22 @@ mod tests {
             let bearer = format!("Bearer {token}");
             let all = headers(&[("host", "10.0.0.9"), ("authorization", &bearer)]);
             guard
-                .check("/v1/jobs", &all, peer)
+                .check(&Method::GET, "/v1/jobs", &all, peer)
                 .map_err(|refusal| refusal.status)
         };
         assert_eq!(status(token, one), Ok(()));
+        for (header, given) in [
+            (format!("Bearer {token}"), Some(token)),
+            (
+                format!("Basic {}", BASE64_STANDARD.encode(format!("me:{token}"))),
+                Some(token),
+            ),
+            (format!("Basic {}", BASE64_STANDARD.encode(token)), None),
+            ("Basic ?".to_owned(), None),
+            (token.to_owned(), None),
+        ] {
+            assert_eq!(token_in(&header).as_deref(), given, "{header}");
+        }
         for i in 0..WRONG_TOKENS {
             assert_eq!(
                 status(&format!("guess{i}"), one),

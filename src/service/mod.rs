@@ -22,6 +22,7 @@ mod shared;
 mod slots;
 mod store;
 mod upload;
+mod views;
 mod workers;
 
 pub use connections::accept;
@@ -37,7 +38,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// The service's pages; those of another room may be merged with them.
+/// The service's pages.
 pub fn router(service: Arc<Service>) -> axum::Router {
     api::router(service)
 }

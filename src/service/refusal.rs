@@ -49,7 +49,12 @@ impl IntoResponse for Refusal {
         let headers = response.headers_mut();
         match self.status {
             StatusCode::UNAUTHORIZED => {
-                headers.insert(header::WWW_AUTHENTICATE, "Bearer".parse().expect("ASCII"));
+                for way in [
+                    "Bearer",
+                    "Basic realm=\"lasertrace: the token is the password\"",
+                ] {
+                    headers.append(header::WWW_AUTHENTICATE, way.parse().expect("ASCII"));
+                }
             }
             StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE => {
                 headers.insert(header::RETRY_AFTER, "10".parse().expect("ASCII"));

@@ -10,6 +10,7 @@ use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use tokio::sync::{Mutex, Semaphore};
 
 /// What a service is started with.
 #[derive(Debug, Clone)]
@@ -24,8 +25,6 @@ pub struct Settings {
     pub hosts: Vec<String>,
     /// The program whose command `job` runs a job.
     pub program: OsString,
-    /// Whether it has a command `sweep`.
-    pub sweeps: bool,
     /// Jobs that run at the same time.
     pub jobs_at_once: usize,
     /// Jobs that may wait.
@@ -42,7 +41,16 @@ pub struct Service {
     pub(super) store: Store,
     pub(super) jobs: Jobs,
     pub(super) slots: Slots,
+    pub(super) views: Views,
     pub(super) metrics: Metrics,
+}
+
+/// Live views.
+pub struct Views {
+    /// One for each view that may be open.
+    pub places: Arc<Semaphore>,
+    /// Of the one that opens a view.
+    pub turn: Mutex<()>,
 }
 
 impl Service {
@@ -55,6 +63,10 @@ impl Service {
         let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
         Ok(Arc::new(Service {
             slots: Slots::new(settings.jobs_at_once),
+            views: Views {
+                places: Arc::new(Semaphore::new(settings.jobs_at_once)),
+                turn: Mutex::default(),
+            },
             metrics: Metrics::default(),
             settings,
             store,

@@ -7,6 +7,7 @@ use super::refusal::Refusal;
 use super::shared::Service;
 use super::slots::ROOM;
 use super::upload::on_disk;
+use super::views;
 use crate::error::{Error, Result};
 use rustix::process::Signal;
 use std::fs::File;
@@ -17,6 +18,7 @@ use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
+use tokio::process::{Child, Command};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::sleep;
 use tracing::{info, warn};
@@ -112,7 +114,9 @@ async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
     service.slots.wake();
 }
 
+/// Removes a job's folder; a view of its scene ends first.
 pub async fn remove(folder: &JobFolder) {
+    stop(&views::folder(folder)).await;
     let folder = folder.clone();
     if let Err(error) = on_disk(move || folder.remove()).await {
         warn!("{error}");
@@ -130,22 +134,11 @@ async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Le
     let body = again(|| service.jobs.body(&job.id)).await;
     let task = task(service, &job.request);
     let limits = task.limits;
-    let (result, log) = {
+    {
         let (service, job) = (service.clone(), job.clone());
-        on_disk(move || prepare(&service, &job, &task, &body)).await?
-    };
-    let mut command = tokio::process::Command::new(&service.settings.program);
-    command
-        .arg("job")
-        .current_dir(&folder.0)
-        .stdin(Stdio::null())
-        .stdout(result)
-        .stderr(log)
-        .env_remove(TOKEN_VARIABLE);
-    let program = service.settings.program.clone();
-    let mut child = command
-        .spawn()
-        .map_err(Error::io("start", program.as_ref()))?;
+        on_disk(move || prepare(&service, &job, &body)).await?;
+    }
+    let mut child = start(service, folder, &task, false)?;
     service.slots.started.fetch_add(1, Relaxed);
     let starts = again(|| service.jobs.count(&job.id, false)).await;
     info!(job = job.id, kind = ?job.request.kind, starts, process = child.id(), "started");
@@ -170,8 +163,8 @@ async fn run(service: &Arc<Service>, job: &Job, folder: &JobFolder) -> Result<Le
     })
 }
 
-/// Makes the job's folder ready for its process: the files that take what it prints, and its log.
-fn prepare(service: &Service, job: &Job, task: &Task, body: &[u8]) -> Result<(File, File)> {
+/// Makes the job's folder, with what it reads.
+fn prepare(service: &Service, job: &Job, body: &[u8]) -> Result<()> {
     let folder = service.store.job(&job.id);
     let text = match job.request.kind {
         Kind::Rays => folder.rays(),
@@ -179,14 +172,34 @@ fn prepare(service: &Service, job: &Job, task: &Task, body: &[u8]) -> Result<(Fi
     };
     service
         .store
-        .make_job(&job.id, &text, body, &job.request.files)?;
+        .make_job(&job.id, &text, body, &job.request.files)
+}
+
+/// Starts a process that does a task in its folder, where files take what it prints; it ends with the service or
+/// outlives it.
+pub fn start(
+    service: &Service,
+    folder: &JobFolder,
+    task: &Task,
+    ends_with_service: bool,
+) -> Result<Child> {
     folder.forget_outcome()?;
     folder.write_task(task)?;
     let open = |path: PathBuf| {
         crate::run::files::remove(&path)?;
         File::create_new(&path).map_err(Error::io("write", &path))
     };
-    Ok((open(folder.result_file())?, open(folder.log_file())?))
+    let program = service.settings.program.clone();
+    Command::new(&program)
+        .arg("job")
+        .current_dir(&folder.0)
+        .stdin(Stdio::null())
+        .stdout(open(folder.result_file())?)
+        .stderr(open(folder.log_file())?)
+        .env_remove(TOKEN_VARIABLE)
+        .kill_on_drop(ends_with_service)
+        .spawn()
+        .map_err(Error::io("start", program.as_ref()))
 }
 
 /// What the job's process is told: the command that a user would type in the job's folder.
@@ -310,7 +323,7 @@ fn waits(
 }
 
 /// The message of the command's error.
-fn said(folder: &JobFolder) -> Option<String> {
+pub fn said(folder: &JobFolder) -> Option<String> {
     let result = folder.result()?;
     Some(result.get("error")?.get("message")?.as_str()?.to_owned())
 }

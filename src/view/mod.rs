@@ -3,7 +3,6 @@
 //! A page asks for a draft of the newest values, and for the next when it has drawn that one: no request waits for
 //! another of the same page. Once the values rest it asks for the picture that `render` makes.
 
-mod guard;
 mod refused;
 mod session;
 mod values;
@@ -11,5 +10,5 @@ mod web;
 
 pub use refused::Refused;
 pub use session::{CheckPage, Picture, Session};
-pub use values::Values;
-pub use web::{router, serve};
+pub use values::{Files, Values};
+pub use web::{Listener, serve};

@@ -1,7 +1,7 @@
 //! One scene, looked at with changing values.
 
 use super::refused::{Answer, Refused};
-use super::values::{Base, Values};
+use super::values::{Base, Files, Values};
 use crate::camera::Counts;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
@@ -78,8 +78,13 @@ impl Session {
     ///
     /// # Errors
     /// As of [`Simulation::watched`].
-    pub fn new(scene: &Scene, pool: ThreadPool, control: &Control) -> Result<Session> {
-        let base = Base::new(scene)?;
+    pub fn new(
+        scene: &Scene,
+        files: Files,
+        pool: ThreadPool,
+        control: &Control,
+    ) -> Result<Session> {
+        let base = Base::new(scene, files)?;
         let own = Arc::new(pool.install(|| Simulation::watched(scene, control))?);
         let text = base.text(&Values::default());
         let text = text.map_err(|refused| Error::Usage(refused.message))?;

@@ -49,7 +49,16 @@ pub struct Base {
     start: DVec3,
 }
 
-/// Keys of files: named by full paths, so that the scene may be saved anywhere.
+/// How a scene that is saved names its files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Files {
+    /// So that it may be saved anywhere.
+    ByFullPath,
+    /// So that it may be sent to the service again.
+    AsGiven,
+}
+
+/// Keys of files.
 const FILES: [&str; 4] = [
     "part.mesh.file",
     "part.copies",
@@ -68,11 +77,13 @@ const RATIOS: f64 = 32.0;
 
 impl Base {
     /// Of a scene that was read from a file; what of it was changed since is in the values too.
-    pub fn new(scene: &Scene) -> Result<Base> {
+    pub fn new(scene: &Scene, files: Files) -> Result<Base> {
         let mut table = Scene::values(&scene.path)?;
         let folder = scene.path.parent().unwrap_or(Path::new(""));
         for key in FILES {
-            if let Some(Value::String(name)) = at(&mut table, key) {
+            if files == Files::ByFullPath
+                && let Some(Value::String(name)) = at(&mut table, key)
+            {
                 let path = std::path::absolute(folder.join(&*name));
                 *name = path.map_or(name.clone(), |path| path.to_string_lossy().into_owned());
             }

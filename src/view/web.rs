@@ -1,23 +1,24 @@
 //! A session over HTTP.
 
-use super::guard::own_pages;
 use super::refused::{Answer, Refused};
 use super::session::{Picture, Session};
 use super::values::Values;
 use crate::error::{Error, Result};
 use crate::report::live::{self, LivePage};
+use crate::service::Guard;
 use axum::Router;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::{Query, Request, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
-use axum::middleware::{from_fn, map_response};
+use axum::middleware::{map_request_with_state, map_response};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 use std::net::TcpListener;
+use std::os::unix::net::UnixListener;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 
@@ -25,6 +26,17 @@ use tokio::task::spawn_blocking;
 const MOST_WAITING: usize = 32;
 /// How often it is asked whether to stop.
 const ASKED_EVERY: Duration = Duration::from_millis(50);
+
+/// A view that the service started ends after so long without a request.
+const LEFT_ALONE: Duration = Duration::from_secs(600);
+
+/// Where a view is asked.
+pub enum Listener {
+    /// By browsers on this machine.
+    Browsers(TcpListener),
+    /// By the service, which says who may ask.
+    Service(UnixListener),
+}
 
 /// What requests share.
 #[derive(Clone)]
@@ -40,7 +52,7 @@ type Asked = std::result::Result<Query<Values>, QueryRejection>;
 
 /// The page of a session and what it asks for, by addresses relative to its own, which ends with "/". Who may ask
 /// is for a layer around it to say.
-pub fn router(session: Arc<Session>) -> Router {
+fn router(session: Arc<Session>) -> Router {
     let view = View {
         session,
         waiting: Arc::new(Semaphore::new(MOST_WAITING)),
@@ -61,15 +73,11 @@ pub fn router(session: Arc<Session>) -> Router {
         .layer(map_response(headers))
 }
 
-/// Answers on a listener until `stop`, those alone who ask from this machine, from the page itself.
+/// Answers on a listener until `stop`; browsers, where they ask from this machine and from the page itself.
 ///
 /// # Errors
 /// The system gives no threads, or takes the listener away.
-pub fn serve(
-    session: Arc<Session>,
-    listener: TcpListener,
-    stop: &'static AtomicBool,
-) -> Result<()> {
+pub fn serve(session: Arc<Session>, listener: Listener, stop: &'static AtomicBool) -> Result<()> {
     let failed = |error: std::io::Error| Error::Exhausted(format!("cannot answer: {error}"));
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
@@ -77,22 +85,57 @@ pub fn serve(
         .build()
         .map_err(failed)?;
     let done = runtime.block_on(async move {
-        listener.set_nonblocking(true)?;
-        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let pages = router(session);
         let stopped = async {
             while !stop.load(Ordering::Relaxed) {
                 tokio::time::sleep(ASKED_EVERY).await;
             }
         };
         // Pages keep their connections open: there is nothing to wait for.
-        tokio::select! {
-            done = axum::serve(listener, router(session).layer(from_fn(own_pages))) => done,
-            () = stopped => Ok(()),
+        match listener {
+            Listener::Browsers(listener) => {
+                let guard = Guard::new(listener.local_addr()?, None, &[]);
+                let pages = guard.map_err(std::io::Error::other)?.around(pages);
+                listener.set_nonblocking(true)?;
+                let listener = tokio::net::TcpListener::from_std(listener)?;
+                tokio::select! {
+                    done = axum::serve(listener, pages) => done,
+                    () = stopped => Ok(()),
+                }
+            }
+            Listener::Service(listener) => {
+                let asked = Arc::new(Mutex::new(Instant::now()));
+                let pages = pages.layer(map_request_with_state(asked.clone(), noted));
+                listener.set_nonblocking(true)?;
+                let listener = tokio::net::UnixListener::from_std(listener)?;
+                tokio::select! {
+                    done = axum::serve(listener, pages) => done,
+                    () = stopped => Ok(()),
+                    () = left_alone(&asked) => Ok(()),
+                }
+            }
         }
     });
     // A picture in work is for nobody.
     runtime.shutdown_background();
     done.map_err(Error::io("listen on", Path::new("the address")))
+}
+
+/// Notes when a request came.
+async fn noted(State(asked): State<Arc<Mutex<Instant>>>, request: Request) -> Request {
+    *asked.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    request
+}
+
+async fn left_alone(asked: &Mutex<Instant>) {
+    while asked
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .elapsed()
+        < LEFT_ALONE
+    {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+    }
 }
 
 /// Works on a session in its turn, or not at all where the one who asks has gone before that.

@@ -1,10 +1,11 @@
 //! What the service gives.
 
 use super::client::{SQUARE, Served, assert_same, by_command, digits, long_scene, square_scene};
-use super::program::{PLANE, scene};
+use super::program::{PLANE, folder_with, run, scene};
 use serde_json::{Value, json};
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 
 #[test]
 fn jobs_give_the_bytes_of_the_command_line() {
@@ -67,6 +68,106 @@ fn jobs_give_the_bytes_of_the_command_line() {
     let folder = store.path().join("jobs").join(&scan);
     assert_eq!(fs::read_to_string(folder.join("scene.toml")).unwrap(), text);
     assert!(folder.join("out/manifest.json").exists());
+}
+
+#[test]
+fn a_sweep_gives_the_table_of_the_command_line() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let name = served.put(scene(PLANE).as_bytes());
+    let sweep = format!("scene = \"{name}\"\n[grid]\n\"laser.power_mw\" = [5, 10]\n");
+    let job = served.job("kind=sweep", &sweep);
+    served.done(&job);
+    let folder = folder_with(&sweep);
+    fs::write(folder.path().join(&name), scene(PLANE)).unwrap();
+    let (code, _, said) = run(folder.path(), &["sweep", "scene.toml", "-o", "out"]);
+    assert_eq!(code, 0, "{said}");
+    let results = served.results(&job);
+    for name in ["sweep.csv", "sweep.svg"] {
+        assert!(results[name] == fs::read(folder.path().join("out").join(name)).unwrap());
+    }
+}
+
+/// The page of a job's scene, its pictures those of `render`, by addresses below the job's; what it saves can be sent as
+/// a job.
+#[test]
+fn a_live_view_of_a_jobs_scene() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &["--jobs", "1"]);
+    served.put(SQUARE.as_bytes());
+    let text = square_scene();
+    let job = served.job("kind=frame&frame=1", &text);
+    served.done(&job);
+    let view = format!("/v1/jobs/{job}/view");
+    let moved = served.get(&view);
+    assert_eq!(
+        (moved.status, &moved.headers["location"]),
+        (308, &format!("{view}/"))
+    );
+    let page = served.get(&format!("{view}/"));
+    assert!(
+        page.status == 200 && page.text().contains("live.js"),
+        "{page:?}"
+    );
+    assert_eq!(served.get(&format!("{view}/live.js")).status, 200);
+    let png = served.get(&format!("{view}/picture.png?frame=1"));
+    assert!(png.body == served.results(&job)["frame-000001.png"]);
+    let wrong = served.get(&format!("{view}/draft?frame=9"));
+    assert_eq!(
+        (wrong.status, wrong.json()["key"].as_str()),
+        (422, Some("frame"))
+    );
+    for path in [
+        "nothing",
+        "../scene.toml",
+        "..%2fscene.toml",
+        "draft/",
+        "draft?frame=1&x=2",
+    ] {
+        let answer = served.get(&format!("{view}/{path}"));
+        assert!((400..=404).contains(&answer.status), "{path}: {answer:?}");
+    }
+    let saved = served
+        .get(&format!("{view}/scene.toml?frame=2&power_mw=3.5"))
+        .text();
+    assert!(
+        saved.contains("sha256:") && !saved.contains("/jobs/"),
+        "{saved}"
+    );
+    let again = served.job("kind=frame&frame=2", &saved);
+    served.done(&again);
+    let png = served.get(&format!("{view}/picture.png?frame=2&power_mw=3.5"));
+    assert!(png.body == served.results(&again)["frame-000002.png"]);
+
+    // As many views as jobs at once; rays have no scene; a scene that cannot be says why.
+    let full = served.get(&format!("/v1/jobs/{again}/view/"));
+    assert_eq!(full.status, 429, "{full:?}");
+    let process = fs::read_to_string(store.path().join("jobs").join(&job).join("view/lock"));
+    let process = format!("/proc/{}", process.unwrap().trim());
+    assert!(Path::new(&process).exists());
+    assert_eq!(
+        served
+            .ask("DELETE", &format!("/v1/jobs/{job}"), &[], b"")
+            .status,
+        204
+    );
+    assert!(!Path::new(&process).exists() && served.get(&format!("{view}/")).status == 404);
+    let wrong = served.job("kind=frame", &text.replace("f_number = 8", "f_number = -8"));
+    served.end(&wrong);
+    let page = served.get(&format!("/v1/jobs/{wrong}/view/"));
+    assert!(
+        page.status == 422 && page.text().contains("found -8"),
+        "{page:?}"
+    );
+    let rays = json!({"rays": [[1, 2, 10, 0, 0, -1]]}).to_string();
+    let mesh = digits(SQUARE.as_bytes());
+    let rays = served.job(&format!("kind=rays&mesh=sha256:{mesh}&unit=mm"), &rays);
+    served.done(&rays);
+    let page = served.get(&format!("/v1/jobs/{rays}/view/"));
+    assert!(
+        page.status == 409 && page.text().contains("no scene"),
+        "{page:?}"
+    );
 }
 
 #[test]

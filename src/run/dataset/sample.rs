@@ -2,7 +2,7 @@
 
 use super::recipe::Recipe;
 use crate::error::{Error, Place, Result};
-use crate::frame::Sheet;
+use crate::frame::{Irradiance, Sheet};
 use crate::math::Rigid;
 use crate::report::formats::{npy, npy_header};
 use crate::report::picture::encode_counts;
@@ -119,22 +119,39 @@ fn truth(
     }
     let mut measured = Vec::new();
     points(&mut measured)?;
+    let mut files = vec![
+        ("depth.npy", depth),
+        ("line.npy", line),
+        ("normal.npy", normal),
+        ("points.npy", measured),
+    ];
+    if simulation.plan.reflections.is_some() {
+        let mut direct = Vec::new();
+        npy_header(&mut direct, "'<f4'", &[rows, columns])?;
+        let share = direct_share(&simulation.shares(frame));
+        direct.extend(share.flat_map(f32::to_le_bytes));
+        files.push(("direct.npy", direct));
+    }
 
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     // The fastest: depth hardly becomes smaller by more work. Without a time, so that bytes are the same.
     let options = SimpleFileOptions::default()
         .compression_level(Some(1))
         .last_modified_time(zip::DateTime::default());
-    for (name, content) in [
-        ("depth.npy", depth),
-        ("line.npy", line),
-        ("normal.npy", normal),
-        ("points.npy", measured),
-    ] {
+    for (name, content) in files {
         archive.start_file(name, options)?;
         archive.write_all(&content)?;
     }
     Ok(archive.finish()?.into_inner())
+}
+
+/// Of each pixel's light, the share of what is reflected once, given what is [reflected once, and more than once]; 1 in the dark.
+fn direct_share(shares: &[Irradiance; 2]) -> impl Iterator<Item = f32> + use<> {
+    let [direct, more] = shares.each_ref().map(Irradiance::dense);
+    direct.into_iter().zip(more).map(|(direct, more)| {
+        let all = direct + more;
+        if all > 0.0 { direct / all } else { 1.0 }
+    })
 }
 
 fn rows(pose: &Rigid) -> [[f64; 4]; 3] {

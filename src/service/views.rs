@@ -1,0 +1,127 @@
+//! Live views of jobs' scenes: each the command `view` in a process of its own with a job's limits, in the folder
+//! `view` of the job's folder. The service opens no scene: it hands requests on through a socket there.
+
+use super::job_folder::{JobFolder, Task};
+use super::refusal::Refusal;
+use super::shared::Service;
+use super::workers::{said, start};
+use crate::error::Result;
+use axum::body::Body;
+use axum::http::{Request, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use hyper::client::conn::http1;
+use hyper_util::rt::TokioIo;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::UnixStream;
+use tokio::task::JoinHandle;
+use tokio::time::sleep;
+use tracing::info;
+
+/// Time between two looks at a view that is being built.
+const LOOK: Duration = Duration::from_millis(50);
+const SOCKET: &str = "view.sock";
+
+/// The folder of a job's view.
+pub fn folder(job: &JobFolder) -> JobFolder {
+    JobFolder(job.0.join("view"))
+}
+
+/// What the view of a job's scene answers to `page`, with what stands behind its `?`. Starts the view if there is none.
+///
+/// # Errors
+/// 409: the job has no scene, or none yet. 422: the scene cannot be viewed. 429: too many views are open.
+pub async fn ask(
+    service: &Arc<Service>,
+    job: &JobFolder,
+    page: &str,
+) -> std::result::Result<Response, Refusal> {
+    let failed = |error: hyper::Error| {
+        let message = format!("the view does not answer: {error}; open it again");
+        Refusal::new(StatusCode::BAD_GATEWAY, message)
+    };
+    let stream = TokioIo::new(connected(service, job).await?);
+    let (mut sender, connection) = http1::handshake(stream).await.map_err(failed)?;
+    tokio::spawn(connection);
+    let request = Request::get(format!("/{page}"))
+        .header(header::HOST, "localhost")
+        .body(Body::empty());
+    let request = request
+        .map_err(|error| Refusal::new(StatusCode::BAD_REQUEST, format!("the address: {error}")))?;
+    let answer = sender.send_request(request).await.map_err(failed)?;
+    Ok(answer.map(Body::new).into_response())
+}
+
+/// A connection with the job's view, once its scene is built.
+async fn connected(
+    service: &Arc<Service>,
+    job: &JobFolder,
+) -> std::result::Result<UnixStream, Refusal> {
+    let view = folder(job);
+    let socket = view.0.join(SOCKET);
+    if let Ok(stream) = UnixStream::connect(&socket).await {
+        return Ok(stream);
+    }
+    // One at a time, so that no scene is built twice.
+    let _turn = service.views.turn.lock().await;
+    let opened = match view.is_locked() {
+        // By a service that was killed.
+        true => None,
+        false => Some(open(service, job, &view)?),
+    };
+    loop {
+        if let Ok(stream) = UnixStream::connect(&socket).await {
+            return Ok(stream);
+        }
+        let ended = match &opened {
+            Some(child) => child.is_finished(),
+            None => !view.is_locked(),
+        };
+        if ended {
+            let outcome = view.outcome().and_then(|outcome| outcome.message);
+            let message = outcome.or_else(|| said(&view));
+            let message = message.unwrap_or_else(|| "the view has ended; open it again".to_owned());
+            return Err(Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message));
+        }
+        sleep(LOOK).await;
+    }
+}
+
+fn open(
+    service: &Arc<Service>,
+    job: &JobFolder,
+    view: &JobFolder,
+) -> std::result::Result<JoinHandle<()>, Refusal> {
+    if !job.scene().exists() {
+        let message =
+            "this job has no scene to view, or waits for its turn: open the view once it has begun";
+        return Err(Refusal::new(StatusCode::CONFLICT, message));
+    }
+    let place = service.views.places.clone().try_acquire_owned();
+    let place = place.map_err(|_| {
+        let message = "as many live views are open as jobs may run at once (--jobs); each ends ten minutes after its \
+                       page was closed";
+        Refusal::new(StatusCode::TOO_MANY_REQUESTS, message)
+    })?;
+    let mut child = begin(service, view)?;
+    info!(folder = %view.0.display(), process = child.id(), "view opened");
+    let view = view.clone();
+    Ok(tokio::spawn(async move {
+        let _ = child.wait().await;
+        drop(place);
+        info!(folder = %view.0.display(), "view ended");
+    }))
+}
+
+/// The view ends with the service, and else by itself.
+fn begin(service: &Service, view: &JobFolder) -> Result<tokio::process::Child> {
+    crate::run::files::create_own_folder(&view.0)?;
+    let limits = service.settings.limits;
+    let threads = format!("--threads={}", limits.threads);
+    let arguments = ["view", "../scene.toml", "--socket", SOCKET, &threads];
+    let task = Task {
+        arguments: arguments.map(str::to_owned).to_vec(),
+        limits,
+    };
+    start(service, view, &task, true)
+}
