@@ -8,7 +8,7 @@
   let wanted = 1, drawn = 0, asking = false, last = null, resting, head;
   const number = (value) => String(Number(value.toPrecision(6)));
 
-  // Values: a slider and a field each; what is not touched stays the scene's.
+  // Values: a slider and a field each; what is not touched stays the scene's. The page starts with a frame in mid scan.
   const sliders = [...document.querySelectorAll(".value")].map((root) => {
     const { key, start, low, high } = root.dataset;
     const [text, range] = [root.querySelector("[type=text]"), root.querySelector("[type=range]")];
@@ -60,7 +60,7 @@
   });
   const asked = () => {
     const query = new URLSearchParams();
-    for (const { key, value, changed } of sliders) if (changed) query.set(key, value);
+    for (const { key, value, changed } of sliders) if (changed || key === "frame") query.set(key, value);
     return query.toString();
   };
 

@@ -118,9 +118,9 @@ impl Base {
         let size = scene.bounds().size().max_element();
         let moved = |key, label| range(key, label, 0.0, [-size, size], false);
         let turned = |key, label| range(key, label, 0.0, [-45.0, 45.0], false);
-        let frames = f64::from(scene.scan.frames - 1);
+        let [middle, last] = [scene.scan.frames / 2, scene.scan.frames - 1].map(f64::from);
         vec![
-            range("frame", "frame", 0.0, [0.0, frames], false),
+            range("frame", "frame", middle, [0.0, last], false),
             above_zero(
                 "exposure_ms",
                 "exposure, ms",
