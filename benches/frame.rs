@@ -43,16 +43,23 @@ fn stages(c: &mut Criterion) {
     group.bench_function("light with speckle", |b| {
         b.iter(|| irradiance(&speckled, &Region::Lit(&clusters)))
     });
-    group.bench_function("counts", |b| b.iter(|| simulation.counts(FRAME, &image)));
+    let near = simulation.counts_near_light(FRAME, &image);
+    assert_eq!(simulation.measure_near_light(FRAME, &near).1, points);
+    group.bench_function("counts", |b| {
+        b.iter(|| simulation.counts_near_light(FRAME, &image))
+    });
+    group.bench_function("counts of a whole image", |b| {
+        b.iter(|| simulation.counts(FRAME, &image))
+    });
     group.bench_function("peaks, points, deviation", |b| {
-        b.iter(|| simulation.measure(FRAME, &counts))
+        b.iter(|| simulation.measure_near_light(FRAME, &near))
     });
     group.bench_function("png", |b| b.iter(|| encode_counts(&counts)));
     group.finish();
     let frame = |view| {
         let start = Instant::now();
-        let counts = simulation.counts(FRAME, &irradiance(view, &Region::Lit(&clusters)));
-        simulation.measure(FRAME, &counts);
+        let light = irradiance(view, &Region::Lit(&clusters));
+        simulation.measure_near_light(FRAME, &simulation.counts_near_light(FRAME, &light));
         start.elapsed().as_secs_f64()
     };
     // Interleaved, so that the machine's load falls on both alike.

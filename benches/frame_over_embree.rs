@@ -167,10 +167,14 @@ fn main() {
             let (mut light, mut counts) = (None, None);
             let times = [
                 seconds(|| light = Some(simulation.irradiance(timed.frame))),
-                seconds(|| counts = light.as_ref().map(|l| simulation.counts(timed.frame, l))),
+                seconds(|| {
+                    counts = light
+                        .as_ref()
+                        .map(|l| simulation.counts_near_light(timed.frame, l))
+                }),
                 seconds(|| {
                     let counts = counts.as_ref().expect("it was drawn");
-                    let (_, points) = simulation.measure(timed.frame, counts);
+                    let (_, points) = simulation.measure_near_light(timed.frame, counts);
                     assert!(points.len() > 100, "{} points", points.len());
                 }),
             ];

@@ -19,8 +19,8 @@ fn main() {
         });
         let frame = |simulation: &Simulation| {
             let light = simulation.irradiance(timed.frame);
-            let counts = simulation.counts(timed.frame, &light);
-            let (_, points) = simulation.measure(timed.frame, &counts);
+            let counts = simulation.counts_near_light(timed.frame, &light);
+            let (_, points) = simulation.measure_near_light(timed.frame, &counts);
             assert!(points.len() > 100, "{} points", points.len());
         };
         for (name, other) in [("mean light", &mean), ("coherent", &coherent)] {

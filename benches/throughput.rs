@@ -24,8 +24,7 @@ const SENSOR: [usize; 2] = [2048, 1088];
 
 /// A frame as a scan takes it, but for its files: number of points.
 fn frame(simulation: &Simulation, frame: u32) -> usize {
-    let counts = simulation.image(frame);
-    simulation.measure(frame, &counts).1.len()
+    simulation.profile(frame).1.len()
 }
 
 /// Frames taken together, as in a scan.
@@ -69,7 +68,8 @@ fn throughput(c: &mut Criterion) {
     let clusters = Clusters::new(&simulation.scene.mesh);
     let view = simulation.view(480);
     let light = irradiance(&view, &Region::Lit(&clusters));
-    let counts = simulation.counts(480, &light);
+    let near = simulation.counts_near_light(480, &light);
+    let whole = simulation.counts(480, &light);
     group.bench_function("light", |b| {
         b.iter(|| irradiance(&view, &Region::Lit(&clusters)))
     });
@@ -78,10 +78,18 @@ fn throughput(c: &mut Criterion) {
     group.bench_function("light without speckle", |b| {
         b.iter(|| irradiance(&dull, &Region::Lit(&clusters)))
     });
-    group.bench_function("counts", |b| b.iter(|| simulation.counts(480, &light)));
-    group.bench_function("peaks", |b| b.iter(|| simulation.peaks(&counts)));
+    group.bench_function("counts", |b| {
+        b.iter(|| simulation.counts_near_light(480, &light))
+    });
+    group.bench_function("counts of a whole image", |b| {
+        b.iter(|| simulation.counts(480, &light))
+    });
+    group.bench_function("peaks", |b| b.iter(|| simulation.peaks(&near)));
+    group.bench_function("peaks in a whole image", |b| {
+        b.iter(|| simulation.peaks(&whole))
+    });
     group.bench_function("peaks, points, deviation", |b| {
-        b.iter(|| simulation.measure(480, &counts))
+        b.iter(|| simulation.measure_near_light(480, &near))
     });
     geometry(&mut group, &simulation.scene);
     against_all(simulation, &clusters);

@@ -1,5 +1,6 @@
 //! An image as the sensor gives it.
 
+use super::column::{Column, Columns};
 use wide::u16x8;
 
 /// Counts of a sensor's pixels, kept column after column: lines are looked for in columns.
@@ -63,6 +64,20 @@ impl Counts {
     /// See [`Self::by_column`].
     pub fn by_column_mut(&mut self) -> &mut [u16] {
         &mut self.by_column
+    }
+}
+
+impl Columns for Counts {
+    fn columns(&self) -> usize {
+        Counts::columns(self)
+    }
+
+    fn rows(&self) -> usize {
+        Counts::rows(self)
+    }
+
+    fn column(&self, column: usize) -> Column<'_> {
+        Column::from(Counts::column(self, column))
     }
 }
 

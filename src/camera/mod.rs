@@ -7,21 +7,25 @@
 //! [i, i+1] × [j, j+1] in (column, row); its centre is (i + ½, j + ½).
 
 mod chief_rays;
+mod column;
 mod counts;
 mod dark;
 mod distortion;
 mod grain_extent;
 mod lens;
 mod model;
+mod near_light;
 mod sensor;
 
 pub use chief_rays::ChiefRays;
+pub use column::{Column, Columns};
 pub use counts::Counts;
 pub use dark::DarkCounts;
 pub use distortion::Distortion;
 pub use grain_extent::GrainExtent;
 pub use lens::Lens;
 pub use model::{CameraModel, Projector};
+pub use near_light::NearLight;
 pub use sensor::{Noise, PixelPattern, Sensor};
 
 use crate::math::{DMat3, DVec2, DVec3};

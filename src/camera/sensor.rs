@@ -1,5 +1,6 @@
 //! From irradiance to counts: the linear model of EMVA 1288 (release 4.0).
 
+use crate::math::binomial::{EXPANDED, expanded_quantile};
 use crate::math::rng::{Key, Stream};
 use glam::UVec2;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
@@ -74,11 +75,6 @@ impl Noise {
             dark_e: self.dsnu_e * normal(),
         }
     }
-
-    /// Whether counts without light have more than read noise.
-    pub fn adds_to_dark(&self) -> bool {
-        self.dark_current_e_per_s > 0.0 || self.dsnu_e > 0.0
-    }
 }
 
 impl Sensor {
@@ -118,7 +114,7 @@ impl Sensor {
         self.digitised(electrons.min(self.full_well_e))
     }
 
-    fn dark_current_e(&self, noise: &Noise) -> f64 {
+    pub(super) fn dark_current_e(&self, noise: &Noise) -> f64 {
         noise.dark_current_e_per_s * self.exposure_ms * 1e-3
     }
 
@@ -143,9 +139,6 @@ fn noisy(electrons: f64, read_noise_e: f64, key: Key) -> f64 {
     shot(electrons, &mut stream) + read_noise_e * read
 }
 
-/// From this mean on quantiles of Poisson's distribution come by expansion.
-const EXPANDED: f64 = 12.0;
-
 /// A Poisson number that rises with its mean for the same random numbers, so that pixels
 /// of nearly the same light have nearly the same noise: the quantile of a normal number,
 /// by the expansion of Cornish and Fisher (1938) to 1/λ, and below λ = 12 that of a
@@ -153,7 +146,7 @@ const EXPANDED: f64 = 12.0;
 /// the true ones, all λ and k.
 fn shot(mean: f64, stream: &mut Stream) -> f64 {
     if mean >= EXPANDED {
-        return expanded_quantile(mean, StandardNormal.sample(stream));
+        return expanded_quantile(mean, 0.0, StandardNormal.sample(stream));
     }
     let uniform: f64 = StandardUniform.sample(stream);
     let mut term = (-mean).exp();
@@ -166,17 +159,6 @@ fn shot(mean: f64, stream: &mut Stream) -> f64 {
         at_most += term;
     }
     k
-}
-
-/// The number k below which a Poisson number of this mean, at least [`EXPANDED`], lies as
-/// often as a normal one below `w`.
-fn expanded_quantile(mean: f64, w: f64) -> f64 {
-    let deviation = mean.sqrt();
-    let w2 = w * w;
-    let first = w / 36.0 * (1.0 + 0.5 * w2);
-    let second = (w2 * (7.0 + 3.0 * w2) - 16.0) / 810.0;
-    let k = mean + deviation * w + (2.0 + w2) / 6.0 - first / deviation + second / mean;
-    k.floor().max(0.0)
 }
 
 #[cfg(test)]
@@ -304,33 +286,6 @@ mod tests {
         sensor.full_well_e = 1e9;
         assert_eq!(sensor.count(1e12, key), 1023);
         assert_eq!(sensor.count(1e300, key), 1023);
-    }
-
-    /// Shares of pixels with fewer than k electrons, Φ of where the expansion reaches k,
-    /// against the sum of Poisson's terms: no further off than what the documentation says.
-    #[test]
-    fn expanded_quantiles_are_those_of_poisson() {
-        for mean in [EXPANDED, 15.3, 30.0, 200.0, 700.0] {
-            let mut term = (-mean).exp();
-            let mut below = 0.0;
-            let mut k = 0.0;
-            while k < mean + 10.0 * mean.sqrt() {
-                let (mut low, mut high) = (-6.0, 12.0);
-                for _ in 0..60 {
-                    let w = 0.5 * (low + high);
-                    match expanded_quantile(mean, w) < k {
-                        true => low = w,
-                        false => high = w,
-                    }
-                }
-                let share = 0.5 * libm::erfc(-high * std::f64::consts::FRAC_1_SQRT_2);
-                let wrong = (share - below).abs();
-                assert!(wrong < 3.2e-5, "{mean} {k}: {share} {below}");
-                below += term;
-                k += 1.0;
-                term *= mean / k;
-            }
-        }
     }
 
     /// For the same pixel more light never makes a lower count, but where the way of drawing

@@ -59,7 +59,7 @@ pub(crate) use grid::sampling_error;
 pub(crate) use sight::{Projection, Sight};
 
 use crate::accel::Accel;
-use crate::camera::{Camera, Counts};
+use crate::camera::{Camera, NearLight};
 use crate::laser::Laser;
 use crate::math::Rigid;
 use crate::math::rng::Key;
@@ -95,16 +95,16 @@ pub struct View<'a> {
     pub indirect: Option<Indirect>,
 }
 
-/// The image that the sensor takes: the mean of the light over the `views` of one exposure
+/// The image that the sensor takes, drawn near its light: the mean of the light over the `views` of one exposure
 /// (at least one), and what the sensor makes of it. `key` is the frame's.
 pub fn take<'a>(
     views: impl IntoIterator<Item = View<'a>>,
     region: &Region,
     readout: &Readout,
     key: Key,
-) -> Counts {
+) -> NearLight {
     let images = views.into_iter().map(|view| irradiance(&view, region));
-    readout.counts(&Irradiance::mean(images.collect()), key)
+    readout.near_light(&Irradiance::mean(images.collect()), key)
 }
 
 /// Mean irradiance of each pixel, mW/mm². The same bytes for any number of threads, and

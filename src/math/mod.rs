@@ -1,6 +1,7 @@
 //! Frames, boxes, pupils' shapes, stateless random numbers and quadrature.
 
 mod aperture;
+pub mod binomial;
 pub mod frames;
 mod normal;
 pub mod quadrature;

@@ -1,5 +1,7 @@
 //! The background of a column, and what stands out from it.
 
+use crate::camera::Column;
+
 /// Peaks expected per frame in which no light falls on the sensor.
 pub const FALSE_PEAKS_PER_FRAME: f64 = 1e-3;
 
@@ -47,25 +49,19 @@ pub fn least_height(pixels: usize, noise: f64) -> f64 {
     detection_sigmas(pixels) * noise.max(ROUNDING)
 }
 
-/// Background of the column, whose highest count this is: from the median and its absolute deviation (×1.4826
+/// Background of a column of `rows` counts: from the median and its absolute deviation (×1.4826
 /// for normal noise, and one count for what rounding hides), what lies further than
 /// four deviations off is left out, again and again until nothing changes. The
 /// threshold is [`students_quantile`] of `z`.
-pub(super) fn background(
-    column: &[u16],
-    highest: u16,
-    z: f64,
-    histogram: &mut Histogram,
-) -> Background {
-    histogram.count(column, highest);
-    let middle = column.len() / 2;
+pub(super) fn background(rows: usize, z: f64, histogram: &Histogram) -> Background {
+    let middle = rows / 2;
     let median = histogram.value(middle);
     // Of normal noise that lies two deviations above zero 2.3 % is cut off.
-    let cut = 50 * histogram.at(0) > column.len() as u64;
+    let cut = 50 * histogram.at(0) > rows as u64;
     let spread = match cut {
         // One deviation above the median; all below may be zeros.
         true => {
-            let place = (0.68 * (column.len() - middle) as f64) as usize;
+            let place = (0.68 * (rows - middle) as f64) as usize;
             (histogram.value(middle + place) - median) as f64
         }
         false => 1.4826 * histogram.deviation(median, middle) as f64,
@@ -88,13 +84,12 @@ pub(super) fn background(
         sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
         sigma = sigma.min(limit);
     }
-    let mut freedom = column.len() as f64;
+    let mut freedom = rows as f64;
     if cut && sigma > 0.0 {
         let upper = upper_deviation(histogram, median, sigma);
         sigma = sigma.max(upper).min(limit);
         freedom /= ONE_SIDED_VARIANCE;
     }
-    histogram.clear(column);
     let noise = sigma.max(ROUNDING);
     Background {
         mean,
@@ -135,14 +130,11 @@ pub(super) struct Histogram {
 }
 
 impl Histogram {
-    /// The histogram must be empty, and the column no longer than a sensor's side, with
-    /// this highest count.
-    fn count(&mut self, column: &[u16], highest: u16) {
-        self.highest = highest as usize;
-        if self.times.len() <= self.highest {
-            self.times.resize(self.highest + 1, [0; 4]);
-        }
-        let (fours, rest) = column.as_chunks::<4>();
+    /// Counts a column no longer than a sensor's side; the histogram must be empty. Of the counts
+    /// that are drawn the highest is this. Gives the highest of those that are not.
+    pub fn count(&mut self, column: &Column, highest: u16) -> Option<u16> {
+        self.reach(highest);
+        let (fours, rest) = column.drawn().1.as_chunks::<4>();
         for pixels in fours {
             for (lane, &count) in pixels.iter().enumerate() {
                 self.times[count as usize][lane] += 1;
@@ -151,16 +143,41 @@ impl Histogram {
         for &count in rest {
             self.times[count as usize][0] += 1;
         }
+        let mut others = None;
+        column.others(&mut |count, times| {
+            self.reach(count);
+            self.times[count as usize][0] += times as u16;
+            others = Some(count);
+        });
+        others
     }
 
-    /// Empties it of the counts of a column.
-    fn clear(&mut self, column: &[u16]) {
-        if self.highest < 2 * column.len() {
-            return self.times[..=self.highest].fill([0; 4]);
+    /// Makes room for a count.
+    fn reach(&mut self, count: u16) {
+        self.highest = self.highest.max(count as usize);
+        if self.times.len() <= self.highest {
+            self.times.resize(self.highest + 1, [0; 4]);
         }
-        for &count in column {
-            self.times[count as usize] = [0; 4];
+    }
+
+    /// The highest count of the column.
+    pub fn highest(&self) -> u16 {
+        self.highest as u16
+    }
+
+    /// Empties it of the counts of a column, of whose others this is the highest.
+    pub fn clear(&mut self, column: &Column, others: Option<u16>) {
+        let (_, drawn) = column.drawn();
+        if self.highest < 2 * column.rows() {
+            self.times[..=self.highest].fill([0; 4]);
+        } else {
+            let others = others.map_or(0, |highest| highest as usize + 1);
+            self.times[..others].fill([0; 4]);
+            for &count in drawn {
+                self.times[count as usize] = [0; 4];
+            }
         }
+        self.highest = 0;
     }
 
     fn at(&self, value: usize) -> u64 {
@@ -245,7 +262,9 @@ mod tests {
                     .map(|_| (black + normal.sample(&mut stream)).max(0.0).round() as u16)
                     .collect();
                 let highest = *counts.iter().max().unwrap();
-                let found = background(&counts, highest, 6.0, &mut Histogram::default());
+                let mut histogram = Histogram::default();
+                histogram.count(&Column::from(&counts[..]), highest);
+                let found = background(counts.len(), 6.0, &histogram);
                 sum += found.noise / 100.0;
             }
             let truth = (9.0f64 + 1.0 / 12.0).sqrt();
@@ -266,7 +285,7 @@ mod tests {
                 let column: Vec<u16> = (0..length).map(value).collect();
                 let mut sorted = column.clone();
                 sorted.sort_unstable();
-                histogram.count(&column, sorted[sorted.len() - 1]);
+                histogram.count(&Column::from(&column[..]), sorted[sorted.len() - 1]);
                 let median = sorted[sorted.len() / 2];
                 let mut distances: Vec<u16> = column.iter().map(|c| c.abs_diff(median)).collect();
                 distances.sort_unstable();
@@ -280,7 +299,7 @@ mod tests {
                 let squares = inside.iter().map(|c| c * c).sum::<u64>();
                 let sums = (inside.len() as u64, inside.iter().sum(), squares);
                 assert_eq!(histogram.moments(low, high), sums);
-                histogram.clear(&column);
+                histogram.clear(&Column::from(&column[..]), None);
             }
         }
         assert!(histogram.times.iter().all(|times| *times == [0; 4]));

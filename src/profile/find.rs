@@ -7,26 +7,25 @@ use super::line::{Line, Located};
 use super::locate::{WINDOW_SIGMAS, half_height_sigma, is_saturated, locate};
 use super::neighbourhood::Neighbourhood;
 use super::{Choice, Peak, PeakSettings};
-use crate::camera::Counts;
+use crate::camera::{Column, Columns};
+use std::ops::Range;
 
 /// Share of the height of the column's highest line that another has at least.
 pub const CANDIDATE_SHARE: f64 = 0.1;
 
-/// Pixels of a column of which the highest is kept.
+/// Drawn pixels of a column of which the highest is kept.
 const BLOCK: usize = 32;
 
-/// A column of an image.
-struct Pixels<'a> {
-    counts: &'a [u16],
-    /// The highest count of each [`BLOCK`]: most are dark, and need not be looked at.
-    tops: &'a [u16],
-}
-
 /// What a column holds besides noise.
-struct Column {
+struct Detected<'a> {
+    /// With all counts drawn that may be of a line.
+    column: Column<'a>,
+    /// Where the highest counts of its blocks are.
+    tops: Range<usize>,
     background: Background,
+    /// The least count of a line's highest pixel.
+    level: u16,
     top: usize,
-    height: f64,
     sigma: f64,
 }
 
@@ -59,36 +58,31 @@ struct Found<'a> {
 /// // Counts are rounded by at most ½: the row moves by far less than 0.02 px.
 /// assert!(peaks.iter().all(|peak| (peak.row - 30.25).abs() < 0.02));
 /// ```
-pub fn find_peaks(image: &Counts, settings: &PeakSettings) -> Vec<Peak> {
+pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
     let (columns, rows) = (image.columns(), image.rows());
     let z = detection_sigmas(columns * rows);
     let mut histogram = Histogram::default();
-    let blocks = rows.div_ceil(BLOCK);
-    let mut tops = Vec::with_capacity(columns * blocks);
+    let mut tops = Vec::new();
     let detected = (0..columns).map(|column| {
-        let counts = image.column(column);
-        let first = tops.len();
-        tops.extend(tops_of(counts));
-        let tops = &tops[first..];
-        detect(&Pixels { counts, tops }, z, &mut histogram)
+        let column = image.column(column);
+        detect(column, z, &mut histogram, &mut tops)
     });
-    let found: Vec<Option<Column>> = detected.collect();
+    let found: Vec<Option<Detected>> = detected.collect();
     // Of a line that speckle breaks up, half the height tells a grain's width.
     let sigma = median(found.iter().flatten().map(|c| c.sigma)).max(settings.expected_sigma);
     let width = 2.354_82 * sigma;
     let mut lines = Vec::with_capacity(columns);
     let mut others = Vec::new();
-    for (number, (tops, found)) in tops.chunks_exact(blocks).zip(&found).enumerate() {
+    for (number, found) in found.iter().enumerate() {
         let Some(found) = found else { continue };
-        let counts = image.column(number);
-        let (line, tops) = chosen(&Pixels { counts, tops }, found, width, settings);
+        let (line, tops) = chosen(found, &tops[found.tops.clone()], width, settings);
         if let Some(located) = locate(&line, settings.finder) {
             let double = tops.len() > 1;
             let beside = tops.into_iter().filter(|&top| top != line.top);
             others.extend(beside.map(|top| Other {
                 column: number as u32,
                 row: top as f64 + 0.5,
-                sigma: half_height_sigma(counts, top, found.background.mean),
+                sigma: half_height_sigma(&found.column, top, found.background.mean),
             }));
             lines.push(Found {
                 column: number as u32,
@@ -159,70 +153,93 @@ fn tops_of(column: &[u16]) -> impl Iterator<Item = u16> + '_ {
     tops.chain(highest(rest))
 }
 
-/// The highest line of a column, if it is one.
-fn detect(column: &Pixels, z: f64, histogram: &mut Histogram) -> Option<Column> {
-    let counts = column.counts;
-    let highest = column.tops.iter().copied().max()?;
-    let background = background(counts, highest, z, histogram);
+/// The highest line of a column, if it is one. Adds the highest counts of its blocks to `all`.
+fn detect<'a>(
+    mut column: Column<'a>,
+    z: f64,
+    histogram: &mut Histogram,
+    all: &mut Vec<u16>,
+) -> Option<Detected<'a>> {
+    let start = all.len();
+    all.extend(tops_of(column.drawn().1));
+    let drawn = all[start..].iter().copied().max().unwrap_or(0);
+    let others = histogram.count(&column, drawn);
+    let background = background(column.rows(), z, histogram);
+    let highest = histogram.highest();
+    histogram.clear(&column, others);
     let height = highest as f64 - background.mean;
     if height < background.threshold {
+        all.truncate(start);
         return None;
     }
-    let first = BLOCK * column.tops.iter().position(|&top| top == highest)?;
-    let top = first + counts[first..].iter().position(|&count| count == highest)?;
-    let sigma = half_height_sigma(counts, top, background.mean);
-    Some(Column {
+    let level = background.mean + background.threshold.max(CANDIDATE_SHARE * height);
+    let level = level.ceil() as u16;
+    if others.is_some_and(|others| others >= level) {
+        column = column.whole();
+        all.truncate(start);
+        all.extend(tops_of(column.drawn().1));
+    }
+    let (first, counts) = column.drawn();
+    let block = BLOCK * all[start..].iter().position(|&top| top == highest)?;
+    let in_block = counts[block..].iter().position(|&count| count == highest)?;
+    let top = first + block + in_block;
+    let sigma = half_height_sigma(&column, top, background.mean);
+    Some(Detected {
+        column,
+        tops: start..all.len(),
         background,
+        level,
         top,
-        height,
         sigma,
     })
 }
 
 /// The line that the settings choose, and where each line of the column is highest.
 fn chosen<'a>(
-    column: &Pixels<'a>,
-    found: &Column,
+    found: &Detected<'a>,
+    tops: &[u16],
     width: f64,
     settings: &PeakSettings,
 ) -> (Line<'a>, Vec<usize>) {
-    let Background {
-        mean, threshold, ..
-    } = found.background;
-    let level = mean + threshold.max(CANDIDATE_SHARE * found.height);
-    let tops = candidates(column, level.ceil() as u16, width);
+    let column = found.column;
+    let tops = candidates(column.drawn(), tops, found.level, width);
     let top = match settings.choice {
         Choice::Strongest => found.top,
         Choice::First => *tops.first().unwrap_or(&found.top),
         Choice::Last => *tops.last().unwrap_or(&found.top),
     };
-    let counts = column.counts;
-    let height = counts[top] as f64 - mean;
+    let mean = found.background.mean;
     let line = Line {
-        column: counts,
+        column,
         background: found.background,
         top,
-        height,
-        sigma: half_height_sigma(counts, top, mean).max(settings.expected_sigma),
+        height: column.at(top) as f64 - mean,
+        sigma: half_height_sigma(&column, top, mean).max(settings.expected_sigma),
         max_count: settings.max_count,
     };
     (line, tops)
 }
 
 /// Rows of the highest pixels of the runs at or above `level`; runs whose gap is
-/// narrower than `width` are one, as speckle breaks a line up.
-fn candidates(column: &Pixels, level: u16, width: f64) -> Vec<usize> {
+/// narrower than `width` are one, as speckle breaks a line up. Of the drawn pixels from row `first`
+/// on `blocks` are the highest of each [`BLOCK`]: most are dark, and need not be looked at.
+fn candidates(
+    (first, drawn): (usize, &[u16]),
+    blocks: &[u16],
+    level: u16,
+    width: f64,
+) -> Vec<usize> {
     let mut tops: Vec<usize> = Vec::new();
     let mut last = 0;
-    let blocks = column.counts.chunks(BLOCK).zip(column.tops).enumerate();
+    let blocks = drawn.chunks(BLOCK).zip(blocks).enumerate();
     for (block, (counts, _)) in blocks.filter(|(_, (_, top))| **top >= level) {
-        for (row, &count) in (block * BLOCK..).zip(counts) {
+        for (row, &count) in (first + block * BLOCK..).zip(counts) {
             if count < level {
                 continue;
             }
             match tops.last_mut() {
                 Some(top) if ((row - last) as f64) <= width + 1.0 => {
-                    if count > column.counts[*top] {
+                    if count > drawn[*top - first] {
                         *top = row;
                     }
                 }

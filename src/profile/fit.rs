@@ -72,10 +72,11 @@ pub(super) fn gaussian_fit(line: &Line, start: Located) -> Option<Located> {
     let sigma = start.sigma.max(0.3);
     let reach = (5.0 * sigma).max(3.0);
     let low = (start.row - reach).max(0.0) as usize;
-    let high = ((start.row + reach).ceil() as usize).min(line.column.len());
+    let high = ((start.row + reach).ceil() as usize).min(line.column.rows());
     let counts: Vec<(usize, f64)> = (low..high)
-        .filter(|&row| line.column[row] < line.max_count)
-        .map(|row| (row, line.column[row] as f64))
+        .map(|row| (row, line.column.at(row)))
+        .filter(|&(_, count)| count < line.max_count)
+        .map(|(row, count)| (row, count as f64))
         .collect();
     if counts.len() < 6 {
         return None;

@@ -1,11 +1,12 @@
 //! A line in a column, and where it was found.
 
 use super::background::Background;
+use crate::camera::Column;
 
 /// A line of a column, as it was detected.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub(super) struct Line<'a> {
-    pub column: &'a [u16],
+    pub column: Column<'a>,
     pub background: Background,
     /// Row of the highest pixel, and its height above background.
     pub top: usize,

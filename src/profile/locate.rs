@@ -3,6 +3,7 @@
 use super::PeakFinder;
 use super::fit::{gaussian_fit, solve};
 use super::line::{Line, Located};
+use crate::camera::Column;
 use nalgebra::{Matrix3, Vector3};
 
 /// Half width of the centroid's window, in standard deviations of the line. At 3
@@ -28,32 +29,33 @@ pub(super) fn locate(line: &Line, finder: PeakFinder) -> Option<(Located, f64)> 
 }
 
 /// Rows of the pixels around `top` that are not below `level`.
-fn run(column: &[u16], top: usize, level: f64) -> std::ops::Range<usize> {
-    let above = |count: &&u16| **count as f64 >= level;
-    let before = column[..top].iter().rev().take_while(above).count();
-    let after = column[top..].iter().take_while(above).count();
+fn run(column: &Column, top: usize, level: f64) -> std::ops::Range<usize> {
+    let above = |row: &usize| column.at(*row) as f64 >= level;
+    let before = (0..top).rev().take_while(above).count();
+    let after = (top..column.rows()).take_while(above).count();
     top - before..top + after
 }
 
 /// Standard deviation of a Gaussian as wide at half height as the line around
 /// `top`, its pixels' values being joined by straight lines.
-pub(super) fn half_height_sigma(column: &[u16], top: usize, background: f64) -> f64 {
-    let half = background + (column[top] as f64 - background) / 2.0;
+pub(super) fn half_height_sigma(column: &Column, top: usize, background: f64) -> f64 {
+    let half = background + (column.at(top) as f64 - background) / 2.0;
     let rows = run(column, top, half);
-    let end = |inner: usize, outer: Option<&u16>| {
-        let inner = column[inner] as f64;
-        let outer = outer.map_or(background, |&count| count as f64);
+    let end = |inner: usize, outer: Option<usize>| {
+        let inner = column.at(inner) as f64;
+        let outer = outer.map_or(background, |row| column.at(row) as f64);
         (inner - half) / (inner - outer)
     };
-    let before = end(rows.start, rows.start.checked_sub(1).map(|i| &column[i]));
-    let after = end(rows.end - 1, column.get(rows.end));
+    let before = end(rows.start, rows.start.checked_sub(1));
+    let after = (rows.end < column.rows()).then_some(rows.end);
+    let after = end(rows.end - 1, after);
     ((rows.len() - 1) as f64 + before + after) / 2.354_82
 }
 
 /// Whether a pixel of the line's upper half reaches `max_count`.
 pub(super) fn is_saturated(line: &Line) -> bool {
     let half = line.background.mean + line.height / 2.0;
-    let pixels = &line.column[run(line.column, line.top, half)];
+    let pixels = line.column.between(run(&line.column, line.top, half));
     pixels.iter().any(|&count| count >= line.max_count)
 }
 
@@ -66,14 +68,14 @@ fn centroid(line: &Line) -> Option<(Located, f64)> {
     let mut row = line.top as f64 + 0.5;
     let mut intensity = 0.0;
     for _ in 0..20 {
-        let moved = windowed_centroid(line.column, background, row - half, row + half)?;
+        let moved = windowed_centroid(&line.column, background, row - half, row + half)?;
         let step = moved.0 - row;
         (row, intensity) = moved;
         if step.abs() < 1e-6 {
             break;
         }
     }
-    let variance = windowed_variance(line.column, background, row, half) / intensity;
+    let variance = windowed_variance(&line.column, background, row, half) / intensity;
     let sigma = match variance > PIXEL_VARIANCE {
         true => (variance - PIXEL_VARIANCE).sqrt(),
         false => 0.0,
@@ -83,16 +85,13 @@ fn centroid(line: &Line) -> Option<(Located, f64)> {
 
 /// Centroid and sum of the counts above background from row `low` to row `high`;
 /// a pixel that is partly inside counts for that part, at that part's middle.
-fn windowed_centroid(column: &[u16], background: f64, low: f64, high: f64) -> Option<(f64, f64)> {
+fn windowed_centroid(column: &Column, background: f64, low: f64, high: f64) -> Option<(f64, f64)> {
     let low = low.max(0.0);
-    let high = high.min(column.len() as f64);
+    let high = high.min(column.rows() as f64);
     let (mut sum, mut moment) = (0.0, 0.0);
-    for (i, &count) in column
-        .iter()
-        .enumerate()
-        .take(high.ceil() as usize)
-        .skip(low as usize)
-    {
+    let first = low as usize;
+    let counts = column.between(first..(high.ceil() as usize).max(first));
+    for (i, &count) in (first..).zip(counts) {
         let (from, to) = (low.max(i as f64), high.min(i as f64 + 1.0));
         let weight = (count as f64 - background) * (to - from);
         sum += weight;
@@ -104,11 +103,13 @@ fn windowed_centroid(column: &[u16], background: f64, low: f64, high: f64) -> Op
 
 /// Second moment about `row` of the counts above background whose pixels' centres
 /// lie within `half` of it.
-fn windowed_variance(column: &[u16], background: f64, row: f64, half: f64) -> f64 {
+fn windowed_variance(column: &Column, background: f64, row: f64, half: f64) -> f64 {
     let low = (row - half).max(0.0) as usize;
-    let high = ((row + half).ceil() as usize).min(column.len());
-    (low..high)
-        .map(|i| (i as f64 + 0.5 - row, column[i] as f64 - background))
+    let high = ((row + half).ceil() as usize).min(column.rows());
+    let counts = column.between(low..high).iter();
+    (low..)
+        .zip(counts)
+        .map(|(i, &count)| (i as f64 + 0.5 - row, count as f64 - background))
         .filter(|(x, _)| x.abs() <= half)
         .map(|(x, weight)| weight * x * x)
         .sum()
@@ -122,9 +123,9 @@ fn windowed_variance(column: &[u16], background: f64, row: f64, half: f64) -> f6
 /// that moves three points' vertex by less than 0.001 px for σ ≥ 0.7 px.
 fn log_parabola(line: &Line) -> Option<Located> {
     let level = line.background.mean + line.height / 2.0;
-    let mut rows = run(line.column, line.top, level);
+    let mut rows = run(&line.column, line.top, level);
     let usable = |row: usize| {
-        let count = line.column[row];
+        let count = line.column.at(row);
         let height = count as f64 - line.background.mean;
         let lit = count < line.max_count && height > line.background.noise;
         lit.then_some((row as f64 - line.top as f64, height))
@@ -132,7 +133,7 @@ fn log_parabola(line: &Line) -> Option<Located> {
     let mut pixels: Vec<(f64, f64)> = rows.clone().filter_map(usable).collect();
     // A line of one or two pixels, or one whose top is cut by saturation.
     while pixels.len() < 3 || rows.len() < 3 {
-        let grown = rows.start.saturating_sub(1)..(rows.end + 1).min(line.column.len());
+        let grown = rows.start.saturating_sub(1)..(rows.end + 1).min(line.column.rows());
         if grown == rows || grown.len() > rows.len().max(1) * 4 + 4 {
             return None;
         }
@@ -168,7 +169,7 @@ fn derivative_zero(line: &Line) -> Option<f64> {
     let n = (FILTER_SIGMAS * line.sigma).round().max(1.0) as isize;
     let top = line.top as isize;
     let at = |row: isize| match usize::try_from(row) {
-        Ok(row) if row < line.column.len() => line.column[row] as f64 - line.background.mean,
+        Ok(row) if row < line.column.rows() => line.column.at(row) as f64 - line.background.mean,
         _ => 0.0,
     };
     let derivative = |row: isize| (1..=n).map(|k| at(row + k) - at(row - k)).sum::<f64>();
@@ -184,5 +185,5 @@ fn derivative_zero(line: &Line) -> Option<f64> {
         }
         here = next;
     }
-    crossing.filter(|row| (0.0..=line.column.len() as f64).contains(row))
+    crossing.filter(|row| (0.0..=line.column.rows() as f64).contains(row))
 }

@@ -23,8 +23,8 @@ pub struct FrameContent {
 
 impl FrameContent {
     pub fn of(simulation: &Simulation, frame: u32) -> FrameContent {
-        let (counts, peaks, points) = simulation.take(frame);
-        let image = counts.filter(|_| simulation.scene.write_frames);
+        let (image, peaks, points) = simulation.taken(frame);
+        let image = image.filter(|_| simulation.scene.write_frames);
         let is_blurred = |peak: &&Peak| {
             let blur = simulation.defocus_blur_px(peak).unwrap_or(0.0);
             let sharp = match simulation.plan.blur {
@@ -35,7 +35,7 @@ impl FrameContent {
         };
         FrameContent {
             blurred: peaks.iter().filter(is_blurred).count() as u32,
-            image: image.as_ref().map(encode_counts),
+            image: image.map(|image| encode_counts(&image.into_counts())),
             points,
         }
     }

@@ -1,7 +1,7 @@
 //! From a frame's image, or from geometry alone, to points on the part.
 
 use super::simulation::{Pose, Simulation};
-use crate::camera::{Camera, Counts};
+use crate::camera::{Camera, Columns, Counts, NearLight};
 use crate::error::Result;
 use crate::frame::{Blur, Irradiance, LinePoint};
 use crate::inspect::cloud::CloudPoint;
@@ -49,9 +49,9 @@ impl Simulation {
 
     /// Lines of an image and how far their rows may be off.
     #[doc(hidden)]
-    pub fn peaks(&self, counts: &Counts) -> (Vec<Peak>, Vec<RowError>) {
-        let mut peaks = find_peaks(counts, &self.peak_settings());
-        let errors = self.errors.row_errors(&peaks, counts.columns());
+    pub fn peaks(&self, image: &dyn Columns) -> (Vec<Peak>, Vec<RowError>) {
+        let mut peaks = find_peaks(image, &self.peak_settings());
+        let errors = self.errors.row_errors(&peaks, image.columns());
         weigh(&mut peaks, &errors);
         (peaks, errors)
     }
@@ -61,8 +61,18 @@ impl Simulation {
         self.measure_at(&self.pose(frame), counts)
     }
 
-    fn measure_at(&self, pose: &Pose, counts: &Counts) -> (Vec<Peak>, Vec<CloudPoint>) {
-        let (peaks, errors) = self.peaks(counts);
+    /// The same in an image of which only what is near light is drawn.
+    #[doc(hidden)]
+    pub fn measure_near_light(
+        &self,
+        frame: u32,
+        image: &NearLight,
+    ) -> (Vec<Peak>, Vec<CloudPoint>) {
+        self.measure_at(&self.pose(frame), image)
+    }
+
+    fn measure_at(&self, pose: &Pose, image: &dyn Columns) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (peaks, errors) = self.peaks(image);
         let mut points = self.points(pose, &peaks, &errors);
         if self.plan.reflections.is_some() && !points.is_empty() {
             tell_reflections(&mut points, &self.shares(pose.frame));
@@ -85,6 +95,19 @@ impl Simulation {
     /// # Ok::<(), lasertrace::Error>(())
     /// ```
     pub fn take(&self, frame: u32) -> (Option<Counts>, Vec<Peak>, Vec<CloudPoint>) {
+        let (image, peaks, points) = self.taken(frame);
+        (image.map(NearLight::into_counts), peaks, points)
+    }
+
+    /// The same without the image.
+    #[doc(hidden)]
+    pub fn profile(&self, frame: u32) -> (Vec<Peak>, Vec<CloudPoint>) {
+        let (_, peaks, points) = self.taken(frame);
+        (peaks, points)
+    }
+
+    /// The same with the image drawn near its light alone.
+    pub(crate) fn taken(&self, frame: u32) -> (Option<NearLight>, Vec<Peak>, Vec<CloudPoint>) {
         let pose = self.pose(frame);
         if self.plan.geometry_only {
             let (peaks, points) = self.geometric_at(&pose);

@@ -4,7 +4,7 @@
 use super::error_model::error_model;
 use super::height_errors::HeightErrors;
 use super::simulation::Simulation;
-use crate::camera::Counts;
+use crate::camera::{Column, Columns, NearLight};
 use crate::error::Result;
 use crate::frame::{Blur, Sampling};
 use crate::math::DVec2;
@@ -200,13 +200,34 @@ impl Strip {
             return peaks;
         }
         let light = simulation.strip(self.frame, &self.columns);
-        let image = simulation.counts(self.frame, &light);
-        let rows = image.rows();
-        let pixels = rows * self.columns.start..rows * self.columns.end;
-        let counts = Counts::of_columns(image.by_column()[pixels].to_vec(), rows);
-        let mut peaks = simulation.peaks(&counts).0;
+        let image = simulation.counts_near_light(self.frame, &light);
+        let strip = SomeColumns {
+            image,
+            columns: self.columns.clone(),
+        };
+        let mut peaks = simulation.peaks(&strip).0;
         peaks.iter_mut().for_each(|peak| peak.column += first);
         peaks
+    }
+}
+
+/// An image of some of another's columns.
+struct SomeColumns {
+    image: NearLight,
+    columns: Range<usize>,
+}
+
+impl Columns for SomeColumns {
+    fn columns(&self) -> usize {
+        self.columns.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.image.rows()
+    }
+
+    fn column(&self, column: usize) -> Column<'_> {
+        self.image.column(self.columns.start + column)
     }
 }
 

@@ -6,7 +6,7 @@ use super::need;
 use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
-use crate::camera::Counts;
+use crate::camera::{Counts, NearLight};
 use crate::error::Result;
 use crate::frame::{
     self, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
@@ -267,7 +267,7 @@ impl Simulation {
     pub(crate) fn frame_peaks(&self, frame: u32) -> Vec<Peak> {
         match self.plan.geometry_only {
             true => self.geometric_peaks(&self.pose(frame)).0,
-            false => self.peaks(&self.image(frame)).0,
+            false => self.peaks(&self.image_of(&self.pose(frame))).0,
         }
     }
 
@@ -281,6 +281,12 @@ impl Simulation {
         self.readout.counts(irradiance, self.noise(frame))
     }
 
+    /// The same near the light alone.
+    #[doc(hidden)]
+    pub fn counts_near_light(&self, frame: u32, irradiance: &Irradiance) -> NearLight {
+        self.readout.near_light(irradiance, self.noise(frame))
+    }
+
     /// What each pixel's centre looks at in a frame: depth, position, normal, triangle.
     pub fn truth(&self, frame: u32) -> Truth {
         frame::truth_layers(&self.view(frame))
@@ -288,10 +294,11 @@ impl Simulation {
 
     /// The image that the sensor takes.
     pub fn image(&self, frame: u32) -> Counts {
-        self.image_of(&self.pose(frame))
+        self.image_of(&self.pose(frame)).into_counts()
     }
 
-    pub(crate) fn image_of(&self, pose: &Pose) -> Counts {
+    /// The same, drawn near its light alone.
+    pub(crate) fn image_of(&self, pose: &Pose) -> NearLight {
         let (region, key) = (self.region(), self.noise(pose.frame));
         frame::take(self.views(pose), &region, &self.readout, key)
     }

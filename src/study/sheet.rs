@@ -252,7 +252,7 @@ impl Target<'_> {
         let light = simulation.irradiance(0);
         let mut by_column = vec![Vec::new(); simulation.scene.camera.sensor.resolution.x as usize];
         for image in 0..IMAGES {
-            for point in sensor.points(simulation, &simulation.counts(image, &light)) {
+            for point in sensor.points(simulation, &simulation.counts_near_light(image, &light)) {
                 by_column[point.column as usize].push(point);
             }
         }
@@ -357,8 +357,12 @@ impl Heights {
         })
     }
 
-    fn all_points(&self, simulation: &Simulation, counts: &crate::camera::Counts) -> Vec<Height> {
-        let (peaks, errors) = simulation.peaks(counts);
+    fn all_points(
+        &self,
+        simulation: &Simulation,
+        image: &dyn crate::camera::Columns,
+    ) -> Vec<Height> {
+        let (peaks, errors) = simulation.peaks(image);
         let points = peaks.iter().zip(&errors);
         points
             .filter_map(|(peak, error)| self.point(simulation, peak, error))
@@ -366,8 +370,8 @@ impl Heights {
     }
 
     /// Those without a flag.
-    fn points(&self, simulation: &Simulation, counts: &crate::camera::Counts) -> Vec<Height> {
-        let (peaks, errors) = simulation.peaks(counts);
+    fn points(&self, simulation: &Simulation, image: &dyn crate::camera::Columns) -> Vec<Height> {
+        let (peaks, errors) = simulation.peaks(image);
         let points = peaks
             .iter()
             .zip(&errors)

@@ -46,13 +46,13 @@ impl Tier {
             };
         }
         let irradiance = self.simulation.irradiance(frame);
-        let counts = self.simulation.counts(frame, &irradiance);
+        let counts = self.simulation.counts_near_light(frame, &irradiance);
         let settings = PeakSettings {
             finder: self.finder,
             ..self.simulation.peak_settings()
         };
         let mut peaks = find_peaks(&counts, &settings);
-        let errors = (self.simulation.errors).row_errors(&peaks, counts.columns());
+        let errors = (self.simulation.errors).row_errors(&peaks, irradiance.columns());
         weigh(&mut peaks, &errors);
         TierFrame {
             peaks,

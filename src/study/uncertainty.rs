@@ -155,7 +155,7 @@ pub fn repeatability(
     for k in 0..seeds {
         control.check()?;
         // Each as the noise of another frame.
-        let (peaks, stated) = simulation.peaks(&simulation.counts(k as u32, &light));
+        let (peaks, stated) = simulation.peaks(&simulation.counts_near_light(k as u32, &light));
         found += peaks.len();
         for (peak, stated) in peaks.into_iter().zip(stated) {
             if peak.flags.is_empty() {

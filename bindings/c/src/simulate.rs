@@ -398,12 +398,18 @@ impl Simulator {
 impl Piece<'_> {
     fn fill(self, simulation: &Simulation, frame: u32) {
         // A profile from geometry alone comes without an image.
-        let image = if self.profile.is_empty() {
-            None
-        } else {
-            let (image, peaks, points) = simulation.take(frame);
-            write_profile(self.profile, frame, &peaks, &points);
-            image
+        let image = match (self.profile.is_empty(), self.image.is_empty()) {
+            (true, _) => None,
+            (false, true) => {
+                let (peaks, points) = simulation.profile(frame);
+                write_profile(self.profile, frame, &peaks, &points);
+                None
+            }
+            (false, false) => {
+                let (image, peaks, points) = simulation.take(frame);
+                write_profile(self.profile, frame, &peaks, &points);
+                image
+            }
         };
         if !self.image.is_empty() {
             let image = image.unwrap_or_else(|| simulation.image(frame));

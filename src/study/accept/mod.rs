@@ -282,7 +282,8 @@ impl Acceptance {
         let repeats: Vec<BTreeMap<u32, f64>> = (0..self.artefacts.repeats)
             .into_par_iter()
             .map(|repeat| {
-                let (_, points) = simulation.measure(0, &simulation.counts(repeat, &light));
+                let image = simulation.counts_near_light(repeat, &light);
+                let (_, points) = simulation.measure_near_light(0, &image);
                 let valid = points
                     .iter()
                     .filter(|p| p.is_valid() && self.on_plate(&p.position));
@@ -482,7 +483,7 @@ fn valid_points(simulation: &Simulation) -> Vec<DVec3> {
     let taken = frames
         .clone()
         .into_par_iter()
-        .map(|frame| simulation.take(frame).2);
+        .map(|frame| simulation.profile(frame).1);
     let mut points: Vec<CloudPoint> = taken.collect::<Vec<_>>().concat();
     simulation.compare_frames(frames, &mut points);
     let valid = points.iter().filter(|point| point.is_valid());
