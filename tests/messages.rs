@@ -116,6 +116,37 @@ const MISTAKES: &[Case] = &[
         &["camera.prnu_percent: found 80, expected a number from 0 to 25"],
     ),
     case(
+        "more rows are to be read than there are",
+        &[("tilt_deg", "read_rows = [40, 20]\ntilt_deg")],
+        &[
+            "camera.read_rows: found [40, 20], expected the first row and their number, within the sensor's 48 rows",
+        ],
+    ),
+    case(
+        "squares of pixels do not fill the sensor",
+        &[(
+            "resolution_px = [64, 48]",
+            "resolution_px = [64, 48]\nbinning = 3",
+        )],
+        &["camera.binning: found 3, expected a divisor of the 64 columns and 48 rows"],
+    ),
+    case(
+        "sums of counts have too many bits",
+        &[(
+            "bit_depth = 10",
+            "bit_depth = 14\nbinning = 4\nbinning_of = \"counts\"",
+        )],
+        &["camera.binning: found 4, expected fewer pixels or bits: their sum has 18 bits"],
+    ),
+    case(
+        "a housing's corners are swapped",
+        &[(
+            "[part]\n",
+            "housing_mm = [[5, 5, 9], [-5, -5, 1]]\n[part]\n",
+        )],
+        &["housing_mm: found [[5, 5, 9], [-5, -5, 1]], expected a lower corner and an upper one"],
+    ),
+    case(
         "a sphere is to be measured on a cap that says no radius",
         &[("[scan]\n", "[accept]\ncap_deg = 5\n\n[scan]\n")],
         &["accept.cap_deg: found 5, expected a number from 20 to 80"],
@@ -228,6 +259,14 @@ const WORTHLESS: &[Case] = &[
         ],
     ),
     case(
+        "the housing touches the part",
+        &[(
+            "[part]\n",
+            "housing_mm = [[-5, -20, -1], [5, 20, 40]]\n[part]\n",
+        )],
+        &["The sensor's housing (housing_mm) touches the part, first in frame 0, near"],
+    ),
+    case(
         "the step is 0",
         &[("step_mm = 0.5", "step_mm = 0")],
         &["all 3 frames are taken at the same place"],
@@ -333,6 +372,83 @@ const DOUBTFUL: &[(&str, Case)] = &[
         ),
     ),
 ];
+
+/// A sensor as a data sheet has it.
+const SHEET: &str = "[data_sheet]\nstand_off_mm = 160\nmeasuring_range_mm = 90\nfield_near_mm = 82\nfield_far_mm = 118\n\
+                     points_per_profile = 1280\ntriangulation_deg = 25\n";
+
+/// What contradicts in it: what is changed, to what, and what the message holds.
+const CONTRADICTIONS: &[(&str, &str, &str, &str)] = &[
+    (
+        "the far field is narrower than the near one",
+        "field_far_mm = 118",
+        "field_far_mm = 60",
+        "data_sheet.field_far_mm: found 60, expected more than field_near_mm = 82",
+    ),
+    (
+        "angle and baseline do not go together",
+        "triangulation_deg = 25",
+        "triangulation_deg = 25\nbaseline_mm = 70",
+        "data_sheet.baseline_mm: found 70, expected",
+    ),
+    (
+        "a baseline beyond what the fields allow",
+        "triangulation_deg = 25",
+        "baseline_mm = 200",
+        "data_sheet.baseline_mm: found 200, expected at most",
+    ),
+    (
+        "the range does not fit the rows",
+        "triangulation_deg = 25",
+        "triangulation_deg = 25\nrows = 200",
+        "data_sheet.rows: found 200, expected at least",
+    ),
+    (
+        "the fields put the lens before the exit",
+        "stand_off_mm = 160",
+        "stand_off_mm = 400",
+        "data_sheet.field_far_mm: found 118, expected fields that a lens behind the laser's exit can see",
+    ),
+    (
+        "an angle at which no lens sees both fields",
+        "triangulation_deg = 25",
+        "triangulation_deg = 70",
+        "data_sheet.triangulation_deg: found 70, expected an angle at which a lens sees 82 and 118 mm",
+    ),
+    (
+        "neither angle nor baseline nor rows",
+        "triangulation_deg = 25\n",
+        "",
+        "expected triangulation_deg or baseline_mm, or rows",
+    ),
+    (
+        "a length below zero",
+        "stand_off_mm = 160",
+        "stand_off_mm = -1",
+        "data_sheet.stand_off_mm: found -1, expected a number from 1e-3 to 1e6",
+    ),
+    (
+        "laser or camera say what follows from the sheet",
+        "triangulation_deg = 25",
+        "triangulation_deg = 25\n[camera]\nfocal_length_mm = 16",
+        "camera.focal_length_mm: found 16, expected nothing beside [data_sheet], from which it follows as",
+    ),
+];
+
+/// The message of a sheet that contradicts.
+fn contradiction((what, from, to, words): &(&str, &str, &str, &str)) -> String {
+    assert!(SHEET.contains(from), "{what}");
+    let folder = folder_with(
+        "seed = 1\nspeckle = false\nsensor = \"sensor.toml\"\n[part]\nplane = { size_mm = [9, 9] }\nreflectance = 0.5\n\
+         [scan]\nframes = 1\nstep_mm = 1\ndirection = [0, 1, 0]\n",
+    );
+    fs::write(folder.path().join("sensor.toml"), SHEET.replace(from, to)).unwrap();
+    let (code, stdout, stderr) = run(folder.path(), &["check", "scene.toml"]);
+    assert_eq!((code, stdout.as_str()), (65, ""), "{what}: {stderr}");
+    let message = stderr.trim_end().trim_start_matches("lasertrace: ");
+    assert!(message.contains(words), "{what}: {message}");
+    message.to_owned()
+}
 
 /// A square of 16 units and one of 0.016.
 const SQUARE: &str = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
@@ -456,6 +572,11 @@ fn every_case_gives_the_message_that_the_page_of_messages_says() {
     );
     for case in MISTAKES {
         page += &row(case.what, &mistake(case));
+    }
+    page += "\n## Data sheets that contradict\n\nThe same, of a sensor's file, with both values named. The sheet is that of \
+             `tests/messages.rs` with one change.\n\n| case | message |\n|---|---|\n";
+    for case in CONTRADICTIONS {
+        page += &row(case.0, &contradiction(case));
     }
     page += "\n## Scenes that give nothing worth having\n\nLines of `check`'s page, of what \
              `scan` prints, of the report and of `summary.json` (`warnings`); with `--strict` an \

@@ -4,6 +4,7 @@
 
 mod program;
 
+use lasertrace::math::{DVec2, DVec3};
 use lasertrace::run::{Checked, Control, check};
 use lasertrace::scene::Scene;
 use program::{folder_with, run};
@@ -150,7 +151,7 @@ fn a_mistake_is_said_with_the_file_it_is_in() {
         (
             "pixel_pitch_um",
             "[part]\npixel_pitch_um",
-            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera or accept",
+            "sensor.toml:13: part: found a key that a sensor does not have, expected data_sheet, laser, camera, housing_mm or accept",
         ),
         (
             "pixel_pitch_um = 5.5",
@@ -216,4 +217,85 @@ fn check_shows_the_sensor() {
     let (_, schema, _) = run(folder.path(), &["schema", "--sensor"]);
     let schema: serde_json::Value = serde_json::from_str(&schema).unwrap();
     assert_eq!(schema["title"], "lasertrace sensor");
+}
+
+/// A region of interest shows what the whole sensor shows in its rows, and is read as much faster.
+#[test]
+fn a_region_of_interest_is_a_piece_of_the_whole_sensor() {
+    let file = sensors()[0].to_str().unwrap().to_owned();
+    let scene = |camera: &str| {
+        let more = format!("[camera]\nexposure_ms = 0.1\nfull_frame_rate_hz = 50\n{camera}");
+        Scene::parse(&scene_with(&file, &more), "".as_ref()).unwrap()
+    };
+    let [whole, piece] = ["", "read_rows = [96, 64]"].map(scene);
+    let camera_from_head = whole.head_from_camera.inverse();
+    for place in [
+        DVec3::ZERO,
+        DVec3::new(20.0, 3.0, -30.0),
+        DVec3::new(-9.0, 0.0, 30.0),
+    ] {
+        let place = camera_from_head.point(place);
+        let [a, b] = [&whole, &piece].map(|scene| scene.camera.project(place).unwrap());
+        assert!((a - b - DVec2::Y * 96.0).length() < 1e-9, "{a} {b}");
+    }
+    let [all, some] =
+        [&whole, &piece].map(|scene| checked(scene).sensor.unwrap().profiles_per_second);
+    let rows = f64::from(whole.camera.sensor.resolution.y);
+    assert!((all - 50.0).abs() < 1e-9, "{all}");
+    assert!((some - 50.0 * rows / 64.0).abs() < 1e-9, "{some}");
+    let binned = scene("binning = 2");
+    let per_pixel = |scene: &Scene| checked(scene).sensor.unwrap().places[4].um_per_px[0];
+    // A field is the same, of half the columns, to the second order of the step that derivatives take.
+    assert!((per_pixel(&binned) / per_pixel(&whole) - 2.0).abs() < 1e-6);
+}
+
+/// A plane that is turned by 50° about y through the middle of the range leaves it at both ends of the line: of even rays over the fan
+/// those that meet it outside the range. Of 129 rays one at each end may be rounded otherwise.
+#[test]
+fn check_says_what_of_the_part_leaves_the_field() {
+    let file = sensors()[0].to_str().unwrap().to_owned();
+    let turned =
+        scene_with(&file, "").replace("reflectance", "rotation_deg = [0, 50, 0]\nreflectance");
+    let scene = Scene::parse(&turned, "".as_ref()).unwrap();
+    let figures = checked(&scene).sensor.unwrap();
+    let found = figures.in_field.unwrap();
+    let [near, far] = figures.ends();
+    let exit = scene.head_from_laser.translation.z;
+    let half = scene.laser.fan.as_ref().unwrap().angle / 2.0;
+    let rays = (0..129).map(|i| half * (f64::from(i) + 0.5 - 64.5) / 64.5);
+    // x = d·tan φ, and the plane is at z = exit − d = −x·tan 50° (turned towards +x it goes down).
+    let depths: Vec<f64> = rays
+        .map(|angle| exit / (1.0 - angle.tan() * 50f64.to_radians().tan()))
+        .collect();
+    let share = |of: &dyn Fn(f64) -> bool| depths.iter().filter(|d| of(**d)).count() as f64 / 129.0;
+    let expected = [share(&|d| d < near), share(&|d| d > far)];
+    for (found, expected) in [found.nearer, found.beyond].into_iter().zip(expected) {
+        assert!(
+            expected > 0.02 && (found - expected).abs() < 1.01 / 129.0,
+            "{found} {expected}"
+        );
+    }
+    let (frame, most) = found.worst.unwrap();
+    let all = found.nearer + found.beyond + found.beside;
+    assert!(frame == 0 && (most - all).abs() < 1e-9, "{found:?}");
+    let level = Scene::parse(&scene_with(&file, ""), "".as_ref()).unwrap();
+    assert_eq!(
+        checked(&level).sensor.unwrap().in_field.unwrap().worst,
+        None
+    );
+
+    let folder = folder_with(&turned.replace(
+        "[part]",
+        "housing_mm = [[-40, -80, 60], [40, 20, 230]]\n[part]",
+    ));
+    let (code, page, stderr) = run(folder.path(), &["check", "scene.toml", "-o", "out"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        page.contains("nearer than the measuring range") && page.contains("most in frame 0"),
+        "{page}"
+    );
+    // At x = −40 the plane is 48 mm high, at −60 it is 71 mm: beside the housing.
+    assert!(!page.contains("housing_mm"), "{page}");
+    let svg = fs::read_to_string(folder.path().join("out/sensor.svg")).unwrap();
+    assert!(svg.contains(">housing<"), "{svg}");
 }

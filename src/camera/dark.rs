@@ -317,6 +317,8 @@ mod tests {
 
     fn sensor(black_level_dn: f64, full_well_e: f64, read_noise_e: f64) -> Sensor {
         Sensor {
+            off_middle: glam::DVec2::ZERO,
+            readout_ms: 0.0,
             resolution: UVec2::new(4, 4),
             pixel_pitch: 0.005,
             exposure_ms: 2.0,

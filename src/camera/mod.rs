@@ -51,7 +51,7 @@ impl Camera {
             resolution: self.sensor.resolution,
             pixel_pitch: self.sensor.pixel_pitch,
             principal_distance: self.lens.image_distance(),
-            principal_point: self.sensor.resolution.as_dvec2() / 2.0,
+            principal_point: self.sensor.resolution.as_dvec2() / 2.0 - self.sensor.off_middle,
             tilt: self.tilt,
             distortion: self.lens.distortion,
         }
@@ -198,6 +198,8 @@ pub(crate) fn fixture() -> Camera {
         },
         sensor: Sensor {
             resolution: glam::UVec2::new(800, 600),
+            off_middle: DVec2::ZERO,
+            readout_ms: 0.0,
             pixel_pitch: 0.0055,
             exposure_ms: 1.0,
             quantum_efficiency: 0.5,

@@ -1,6 +1,7 @@
 //! The command line: one file a command.
 
 mod accept;
+mod begin;
 mod bench_bvh;
 mod calibrate;
 mod chart;
@@ -65,6 +66,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Write a first scene of a part under a sensor, with a path that brings all of it into the measuring range
+    Begin(begin::Arguments),
     /// Validate a scene; print it resolved, with mesh report and plan
     Check(check::Arguments),
     /// Render one frame: sensor counts (PNG), irradiance and truth (EXR)
@@ -327,6 +330,7 @@ fn execute(cli: Cli, complaints: complaint::Complaints) -> Result<()> {
         return view::run(arguments, &output, pool);
     }
     pool.install(|| match cli.command {
+        Command::Begin(arguments) => begin::run(&arguments, &output),
         Command::Check(arguments) => check::run(arguments, &output),
         Command::Render(arguments) => render::run(arguments, &output),
         Command::Scan(arguments) => scan::run(arguments, &output),

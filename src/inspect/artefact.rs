@@ -14,8 +14,21 @@ pub struct Sphere {
     pub radius: f64,
 }
 
+/// The points of a cap of a sphere, and the sphere through them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cap {
+    /// By least squares.
+    pub sphere: Sphere,
+    /// As far from the cap's axis as it asks for, seen from the sphere's own centre.
+    pub points: Vec<DVec3>,
+}
+
+/// Times that the cap is taken anew about the sphere it gave.
+const MOST_CAPS: usize = 5;
 /// Steps of Gauss and Newton: caps of 20° take some twenty.
 const MOST_STEPS: usize = 100;
+/// Step, in radii, that is rounding of the sums over many points.
+const LEAST_STEP: f64 = 1e-12;
 
 impl Sphere {
     /// The sphere from which squares of radial distances of `points` are least. `None` for points that say
@@ -49,7 +62,7 @@ impl Sphere {
             let step = least_squares(rows)?;
             center += DVec3::new(step.x, step.y, step.z);
             radius += step.w;
-            if step.norm() < 1e-13 * radius {
+            if step.norm() < LEAST_STEP * radius {
                 break;
             }
         }
@@ -58,6 +71,30 @@ impl Sphere {
             radius: radius * size,
         };
         (sphere.center.is_finite() && sphere.radius > 0.0).then_some(sphere)
+    }
+
+    /// The same of the points of the cap of this half angle (rad) about `up` that it has itself, from `points` of more of it. Starts
+    /// from the cap about `center`.
+    pub fn fit_cap(points: &[DVec3], center: DVec3, up: DVec3, half_angle: f64) -> Option<Cap> {
+        let least = half_angle.cos();
+        let of_cap = |center: DVec3| -> Vec<DVec3> {
+            let inside = |p: &&DVec3| (**p - center).dot(up) >= least * p.distance(center);
+            points.iter().filter(inside).copied().collect()
+        };
+        let mut points = of_cap(center);
+        let mut sphere = Sphere::fit(&points)?;
+        // Each time the centre changes by that share of its change that moves points over the rim.
+        for _ in 0..MOST_CAPS {
+            let before = points.len();
+            points = of_cap(sphere.center);
+            let next = Sphere::fit(&points)?;
+            let settled = next == sphere && points.len() == before;
+            sphere = next;
+            if settled {
+                break;
+            }
+        }
+        Some(Cap { sphere, points })
     }
 
     /// How far a point is outside, mm.
@@ -104,10 +141,12 @@ impl Sphere {
 fn least_squares(rows: impl Iterator<Item = (Vector4<f64>, f64)>) -> Option<Vector4<f64>> {
     let (mut matrix, mut right, mut count) = (Matrix4::zeros(), Vector4::zeros(), 0.0);
     for (row, value) in rows {
-        matrix += row * row.transpose();
+        // A product of matrices costs ten times as much.
+        matrix.syger(1.0, &row, &row, 1.0);
         right += row * value;
         count += 1.0;
     }
+    matrix.fill_upper_triangle_with_lower_triangle();
     let eigen = SymmetricEigen::new(matrix);
     let least = eigen.eigenvalues.min();
     // Rounding leaves some 1e-16 of points in a plane.
@@ -177,6 +216,23 @@ mod tests {
                 assert!((found.radius - radius).abs() < 1e-10, "{found:?}");
             }
         }
+    }
+
+    /// Where the sphere stands does not matter, nor where it is looked for: the cap is that about its own centre. Points in
+    /// a cap of 60° are 400, evenly over the angle, so that one of 45° has those up to 45/60 of them.
+    #[test]
+    fn the_cap_is_about_the_sphere_that_is_found() {
+        let truth = Sphere {
+            center: DVec3::new(0.3, -0.2, 0.1),
+            radius: 5.0,
+        };
+        let points = cap(truth, 60f64.to_radians());
+        let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, 45f64.to_radians()).unwrap();
+        assert!((found.sphere.radius - 5.0).abs() < 1e-10, "{found:?}");
+        // 399 · 45/60 = 299.25: from the first to the 300th.
+        assert_eq!(found.points, points[..300]);
+        let flat = [DVec3::X, DVec3::Y, DVec3::ZERO, -DVec3::X].map(|p| p + DVec3::Z);
+        assert_eq!(Sphere::fit_cap(&flat, DVec3::ZERO, DVec3::Z, 1.0), None);
     }
 
     /// Residuals at the six ends of the axes have a closed form: a bump e at +x is shared as e·(a + ⅙) by a shift

@@ -33,7 +33,7 @@ pub struct RowError {
     /// Standard uncertainty, px: the scatter from place to place, speckle in it.
     pub sigma: f64,
     /// The part of it that another image of the same place draws anew, px: shot noise and the
-    /// background's (read noise and rounding). Speckle stays where nothing moves.
+    /// background's (read noise and rounding). Speckle and the patterns of pixels stay where nothing moves.
     pub noise: f64,
     /// Whether an edge is so near that either of the surfaces it joins may be nearest: one
     /// that cuts the line has the greater part in `sigma`, or the line ends within the columns
@@ -57,14 +57,14 @@ pub struct RowError {
 ///
 /// To first order a finder moves by Σ w_i·δ_i if the light of pixel i, of Gaussian
 /// share G_i, errs by δ_i; w is `influence`. Then, N being the counts of the line,
-/// K counts an electron and s the background's noise (read noise and rounding),
+/// K counts an electron and s the background's noise (read noise, rounding and DSNU),
 ///
 /// ```text
 /// u² = C²·Σ w_i·G_i·w_j·G_j·ρ(i−j) + P²·Σ w_i²·G_i² + K/N·Σ w_i²·G_i + (s/N)²·Σ w_i² + b²/3
 /// ```
 ///
 /// with P the standard deviation of the pixels' responses (PRNU), which is the same in every frame but another at every
-/// place, as DSNU is, which s has in it; ρ the covariance of the light of two parts of pixels of the column
+/// place, as DSNU is; Σ w_i²·G_i of the centroid that of the column's own light as measured; ρ the covariance of the light of two parts of pixels of the column
 /// ([`crate::speckle::theory::strip_covariance`]), evenly lit as pixels are not by a narrow line,
 /// under grains as long and wide as they are there, and b the greatest bias of the finder (GUM 4.3.7). For
 /// pixels ≪ h ≪ σ and the centroid the first term is (32/3π²)·hσ/(4√π)·C². Added to
@@ -85,6 +85,7 @@ pub struct ErrorModel {
     finder: PeakFinder,
     gain_dn_per_e: f64,
     prnu: f64,
+    fixed_share: f64,
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
@@ -104,6 +105,7 @@ impl ErrorModel {
             finder,
             gain_dn_per_e,
             prnu: 0.0,
+            fixed_share: 0.0,
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
@@ -131,9 +133,14 @@ impl ErrorModel {
         self.grain.as_ref().map_or(vec![1.0], of)
     }
 
-    /// The same for pixels whose responses have this relative standard deviation.
-    pub fn with_prnu(self, prnu: f64) -> ErrorModel {
-        ErrorModel { prnu, ..self }
+    /// The same for pixels whose responses have this relative standard deviation, where so great a share of the background's
+    /// variance is the same in every image (DSNU).
+    pub fn with_patterns(self, prnu: f64, fixed_share: f64) -> ErrorModel {
+        ErrorModel {
+            prnu,
+            fixed_share,
+            ..self
+        }
     }
 
     /// The same for light without shot noise.
@@ -223,10 +230,22 @@ impl ErrorModel {
             && (centroid || at.pixel <= LARGEST_SHAPE_VARIANCE)
     }
 
-    /// Variance of the row from what each image draws anew, px².
+    /// Variance of the row from what each image draws anew, px². Shot noise comes where the column has its light: the centroid's
+    /// is as far off as the measured light itself is wide. Columns that speckle leaves dark in their middle are wider and have less light,
+    /// which a common width would miss.
     fn noise_variance(&self, peak: &Peak, at: &Variances) -> f64 {
         let n = peak.intensity;
-        at.shot * self.gain_dn_per_e / n + at.white * (peak.noise / n).powi(2)
+        let shot = match self.finder {
+            PeakFinder::Centroid => peak.sigma.powi(2) + PIXEL_VARIANCE,
+            _ => at.shot,
+        };
+        let drawn = peak.noise.powi(2) - self.fixed(peak);
+        shot * self.gain_dn_per_e / n + at.white * drawn / (n * n)
+    }
+
+    /// Square of the background's noise that is the same in every image, counts².
+    fn fixed(&self, peak: &Peak) -> f64 {
+        self.fixed_share * peak.noise.powi(2)
     }
 
     /// Variance of the row of an unbroken line of width `sigma`, px².
@@ -241,6 +260,7 @@ impl ErrorModel {
         let shape = 1.0 + (SPECKLE_OF_A_STRETCH - 1.0) * climb;
         at.speckle * clipped.variance * shape
             + self.noise_variance(peak, at)
+            + at.white * self.fixed(peak) / peak.intensity.powi(2)
             + at.response * self.prnu.powi(2)
             + bias(self.finder, sigma).powi(2) / 3.0
     }

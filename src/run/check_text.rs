@@ -4,7 +4,7 @@ use super::check::Checked;
 use super::forecast::Forecast;
 use super::reason::Warning;
 use super::sensor_figures::SensorFigures;
-use crate::camera::Camera;
+use crate::camera::{Camera, Sensor};
 use crate::error::printable;
 use crate::laser::FanProfile;
 use crate::mesh::{self, MeshReport};
@@ -53,7 +53,7 @@ pub fn check_text(checked: &Checked) -> String {
             ),
         );
     }
-    text + &sheet(checked.sensor.as_ref())
+    text + &sheet(checked.sensor.as_ref(), scene)
         + &from_data_sheet(scene)
         + &scheimpflug(scene, &checked.plan)
 }
@@ -222,7 +222,7 @@ fn effect_lines(effect: &Effect) -> String {
 }
 
 /// The sensor as its own data sheet would have it.
-fn sheet(figures: Option<&SensorFigures>) -> String {
+fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
     let mut text = "\nThe sensor on a page\n".to_owned();
     let Some(figures) = figures else {
         return text
@@ -271,13 +271,19 @@ fn sheet(figures: Option<&SensorFigures>) -> String {
             ),
         ),
     };
-    text += &line(
-        "profiles",
-        &format!(
-            "at most {} a second, by the exposure",
-            short(figures.profiles_per_second)
-        ),
-    );
+    text += &line("part in the field", &in_field(figures));
+    let Sensor {
+        exposure_ms,
+        readout_ms,
+        resolution,
+        ..
+    } = &scene.camera.sensor;
+    let limit = match readout_ms > exposure_ms {
+        false => "the exposure".to_owned(),
+        true => format!("reading {} rows", resolution.y),
+    };
+    let rate = short(figures.profiles_per_second);
+    text += &line("profiles", &format!("at most {rate} a second, by {limit}"));
     text += "\n  from the laser, mm    field, mm    µm/px in x    µm/px in z    line, µm    line, px    blur, px\n";
     for place in figures.places.iter().step_by(2) {
         let [left, right] = place.field_mm;
@@ -293,6 +299,30 @@ fn sheet(figures: Option<&SensorFigures>) -> String {
         );
     }
     text
+}
+
+/// Whether the part leaves the field along the path.
+fn in_field(figures: &SensorFigures) -> String {
+    let Some(found) = figures.in_field else {
+        return "no light meets it".to_owned();
+    };
+    let Some((frame, most)) = found.worst else {
+        return "all that the light meets, in all frames".to_owned();
+    };
+    let ends = [
+        (found.nearer, "nearer than the measuring range"),
+        (found.beyond, "beyond it"),
+        (found.beside, "beside the field"),
+    ];
+    let ends = ends.iter().filter(|(share, _)| *share > 0.0);
+    let ends: Vec<String> = ends
+        .map(|(share, place)| format!("{} % {place}", short(100.0 * share)))
+        .collect();
+    format!(
+        "of the light on it ends {}; most in frame {frame}, {} %",
+        ends.join(", "),
+        short(100.0 * most)
+    )
 }
 
 /// What was worked out from a data sheet, and why.

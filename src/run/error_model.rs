@@ -18,8 +18,12 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
         contrast: model.coherence.contrast(),
         aperture: model.aperture,
     });
-    let prnu = sensor.noise.map_or(0.0, |noise| noise.prnu);
-    let model = ErrorModel::new(scene.measure.finder, shot, grain).with_prnu(prnu);
+    let noise = sensor.noise.unwrap_or_default();
+    // Rounding is in the background too.
+    let rounding_e = 1.0 / (12f64.sqrt() * sensor.gain_dn_per_e);
+    let fixed_share = (noise.dsnu_e / sensor.dark_noise_e().hypot(rounding_e)).powi(2);
+    let model =
+        ErrorModel::new(scene.measure.finder, shot, grain).with_patterns(noise.prnu, fixed_share);
     match grain.filter(|_| blur != Blur::None) {
         None => model,
         Some(grain) => model.behind_lens(Blurred::new(

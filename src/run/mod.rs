@@ -1,6 +1,7 @@
 //! A scene made ready to run, its frames, and its files: many frames at once, nothing
 //! half-written left behind.
 
+mod begin;
 mod check;
 #[cfg(feature = "cli")]
 mod check_text;
@@ -14,6 +15,7 @@ pub(crate) mod files;
 pub(crate) mod forecast;
 mod frames;
 pub(crate) mod height_errors;
+mod housing;
 mod journal;
 pub(crate) mod measure;
 pub(crate) mod methods;
@@ -41,6 +43,7 @@ mod survey;
 mod sweep;
 mod warnings;
 
+pub use begin::{Begun, begin};
 pub use check::{Checked, check, draw_sensor};
 #[cfg(feature = "service")]
 pub(crate) use check::{check_ready, drawing};
@@ -61,5 +64,6 @@ pub use sensor_figures::{Cuts, PeakCounts, SensorFigures, SensorPlace};
 pub use shards::Shard;
 pub use simulation::{Simulation, part_in_view};
 pub use summary::ScanSummary;
+pub use survey::InField;
 pub use sweep::{Plot, SweepSummary, sweep, sweep_merge, sweep_places};
 pub use warnings::refuse;

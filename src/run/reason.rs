@@ -63,6 +63,13 @@ pub enum Reason {
         /// Number of the frame.
         frame: u32,
     },
+    /// The sensor's housing meets the part's surface.
+    HousingTouchesPart {
+        /// The first frame in which it does.
+        frame: u32,
+        /// Where, in the part's frame.
+        place_mm: [f64; 3],
+    },
     /// A lobe narrower than the lens's pupil, whose speckle is simulated as if fully developed.
     SpeckleNotDeveloped {
         /// Least roughness α of the surface.
@@ -201,6 +208,11 @@ impl Reason {
             Reason::SensorThroughPart { body, frame } => format!(
                 "The {body} passes through the part's surface after frame {frame}. Move the path \
                  away from the part."
+            ),
+            Reason::HousingTouchesPart { frame, place_mm } => format!(
+                "The sensor's housing (housing_mm) touches the part, first in frame {frame}, near ({}) mm of the part's \
+                 frame. Move the path away from the part, or turn the sensor.",
+                place_mm.map(short).join(", ")
             ),
             Reason::SpeckleNotDeveloped {
                 roughness,

@@ -7,6 +7,7 @@ use crate::report::svg::Svg;
 const LIGHT: &str = "stroke='#c0392b' stroke-width='1.5'";
 const SIGHT: &str = "stroke='#2471a3' stroke-width='1.2'";
 const FIELD: &str = "fill='#1e8449' fill-opacity='0.15' stroke='#1e8449'";
+const HOUSING: &str = "stroke='#7d3c98' stroke-width='1.5'";
 const PART: &str = "stroke='#222' stroke-width='2'";
 /// Greatest width and height of what is drawn, px.
 const ROOM: [f64; 2] = [1000.0, 620.0];
@@ -23,8 +24,12 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     let deepest = along.iter().chain(&across).map(|&(_, z)| z);
     // A part may be far deeper or wider than what is measured.
     let bottom = deepest.fold(far, f64::max).min(far + (far - near)) + 0.05 * far;
-    let top = eye_z.min(0.0) - 0.03 * far;
+    let housing = figures.housing_mm;
+    let housing_from = housing.map_or(0.0, |[min, _]| min[2]);
+    let top = eye_z.min(housing_from).min(0.0) - 0.03 * far;
     let ends = figures.places.iter().flat_map(|place| place.field_mm);
+    let aside = |axis: usize| housing.map(|ends| ends.map(|corner| corner[axis]));
+    let ends = ends.chain(aside(0).into_iter().flatten());
     let field = ends.fold(0.0, |most: f64, x| most.max(x.abs()));
     let wide = |cut: &[(f64, f64)], least: f64| {
         let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
@@ -32,7 +37,11 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     };
     let line = wide(&along, field);
     let side = wide(&across, 0.3 * far).max(0.0);
-    let beside = [(-side).min(1.15 * eye_y), side.max(1.15 * eye_y)];
+    let [from, to] = aside(1).unwrap_or_default();
+    let beside = [
+        (-side).min(1.15 * eye_y).min(1.05 * from),
+        side.max(1.15 * eye_y).max(1.05 * to),
+    ];
     let widths = [beside[1] - beside[0], 2.0 * line];
     let scale = ((ROOM[0] - 60.0) / (widths[0] + widths[1])).min(ROOM[1] / (bottom - top));
     let height = scale * (bottom - top);
@@ -79,12 +88,21 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     );
     Mark::Dot.draw(&mut svg, front.at(0.0, 0.0), "fill='#c0392b'");
 
-    let entries = [
+    for (axes, along) in [(&seen, aside(1)), (&front, aside(0))] {
+        if let (Some([a, b]), Some([c, d])) = (along, aside(2)) {
+            let corners = [(a, c), (b, c), (b, d), (a, d), (a, c)];
+            axes.curve(&mut svg, corners, HOUSING);
+        }
+    }
+    let mut entries = vec![
         (Mark::Line, LIGHT, "laser"),
         (Mark::Line, SIGHT, "camera"),
         (Mark::Area, FIELD, "measured"),
         (Mark::Line, PART, "part, mid scan"),
     ];
+    if housing.is_some() {
+        entries.push((Mark::Line, HOUSING, "housing"));
+    }
     legend(&mut svg, [lefts[0], height + 115.0], [130.0, 0.0], &entries);
     svg.finish()
 }

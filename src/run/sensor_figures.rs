@@ -1,7 +1,7 @@
 //! A sensor in the words of data sheets: what it measures where, and how finely.
 
 use super::simulation::Simulation;
-use super::survey::{Fate, MeasuringRange, Survey};
+use super::survey::{Fate, InField, MeasuringRange, Survey};
 use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::math::{DVec2, DVec3, Rigid};
@@ -25,8 +25,12 @@ pub struct SensorFigures {
     pub places: Vec<SensorPlace>,
     /// Distances from the laser between which the blur is narrower than the line, mm; `None`: it is nowhere in the range.
     pub in_focus_mm: Option<[f64; 2]>,
-    /// Frames a second that the exposure lets the camera take.
+    /// Frames a second that exposure and readout, which go on at once, let the camera take.
     pub profiles_per_second: f64,
+    /// Box around the housing in the laser's frame, mm; `None`: nobody says where it is.
+    pub housing_mm: Option<[[f64; 3]; 2]>,
+    /// Whether the part leaves the field along the path; `None`: no light meets it.
+    pub in_field: Option<InField>,
     /// Of this part; `None`: the camera sees nothing of it.
     pub light: Option<PeakCounts>,
 }
@@ -119,7 +123,15 @@ impl SensorFigures {
                 Some([ends.map_or(t, |[first, _]| first), t])
             }),
             places,
-            profiles_per_second: 1e3 / scene.camera.sensor.exposure_ms,
+            profiles_per_second: {
+                let sensor = &scene.camera.sensor;
+                1e3 / sensor.exposure_ms.max(sensor.readout_ms)
+            },
+            housing_mm: scene.housing.map(|housing| {
+                let housing = housing.moved(&scene.head_from_laser.inverse());
+                [housing.min.to_array(), housing.max.to_array()]
+            }),
+            in_field: survey.in_field,
             light: PeakCounts::of(scene, survey),
         })
     }

@@ -49,10 +49,52 @@ pub(crate) enum Fate {
 #[derive(Debug, Default)]
 pub(crate) struct Survey {
     pub fates: Vec<Fate>,
+    /// `None` if no ray met the part.
+    pub in_field: Option<InField>,
     /// `None` if the camera sees nothing of the light, wherever it falls.
     pub range: Option<MeasuringRange>,
     /// If no ray met the part: where the light passes it.
     pub miss: Option<Miss>,
+}
+
+/// What of the light that meets the part ends outside the measuring field, along the path.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct InField {
+    /// Share that ends nearer to the laser than the measuring range.
+    pub nearer: f64,
+    /// Beyond it.
+    pub beyond: f64,
+    /// Beside the field.
+    pub beside: f64,
+    /// The frame in which the greatest share ends outside, and that share; `None`: none does.
+    pub worst: Option<(u32, f64)>,
+}
+
+impl InField {
+    fn of(by_frame: &[(u32, Vec<Fate>)]) -> Option<InField> {
+        let all = by_frame.iter().map(|(_, fates)| fates.len()).sum::<usize>();
+        let share = |of: fn(&Fate) -> bool| {
+            let fates = by_frame.iter().flat_map(|(_, fates)| fates);
+            fates.filter(|fate| of(fate)).count() as f64 / all as f64
+        };
+        let nearer = |fate: &Fate| matches!(fate, Fate::TooNear(_));
+        let beyond = |fate: &Fate| matches!(fate, Fate::TooFar(_));
+        let beside = |fate: &Fate| matches!(fate, Fate::OutOfView);
+        let outside = by_frame.iter().filter_map(|(frame, fates)| {
+            let count = fates
+                .iter()
+                .filter(|f| nearer(f) || beyond(f) || beside(f))
+                .count();
+            (count > 0).then(|| (*frame, count as f64 / fates.len() as f64))
+        });
+        (all > 0).then(|| InField {
+            nearer: share(nearer),
+            beyond: share(beyond),
+            beside: share(beside),
+            // Of several, the first.
+            worst: outside.reduce(|a, b| if b.1 > a.1 { b } else { a }),
+        })
+    }
 }
 
 /// How the light misses the part.
@@ -98,10 +140,12 @@ impl Survey {
         let chosen: Vec<u32> = spread(near.len(), MOST_FRAMES)
             .map(|i| near[i].frame)
             .collect();
-        let fates: Vec<Fate> = chosen
+        let by_frame: Vec<(u32, Vec<Fate>)> = chosen
             .par_iter()
-            .flat_map_iter(|&frame| fates(scene, accel, frame, &directions))
+            .map(|&frame| (frame, fates(scene, accel, frame, &directions)))
             .collect();
+        let in_field = InField::of(&by_frame);
+        let fates: Vec<Fate> = by_frame.into_iter().flat_map(|(_, fates)| fates).collect();
         let seen = directions.iter().filter_map(|d| Some((d.along, d.seen?)));
         let range = seen.fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
             let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
@@ -113,6 +157,7 @@ impl Survey {
                 false => None,
             },
             fates,
+            in_field,
             range: range.map(|[near_mm, far_mm]| MeasuringRange { near_mm, far_mm }),
         }
     }

@@ -1,6 +1,7 @@
 //! Why a scan gives nothing, or nothing worth having: the same words before it, from the
 //! geometry of the scene, and after it, from what the frames gave.
 
+use super::housing::touch;
 use super::reason::{Reason, Warning};
 use super::sensor_figures::SensorFigures;
 use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
@@ -39,6 +40,12 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
     let mut reasons = Vec::new();
     reasons.extend(no_motion(scene, &frames));
     reasons.extend(sensor_and_part(scene, accel, &frames));
+    reasons.extend(
+        touch(scene, accel, &frames).map(|touch| Reason::HousingTouchesPart {
+            frame: touch.frame,
+            place_mm: touch.place.to_array(),
+        }),
+    );
     reasons.extend(speckle_not_developed(scene));
     let survey = Survey::of(scene, accel, frames);
     let sensor = SensorFigures::of(scene, &survey);

@@ -35,6 +35,9 @@ pub struct SceneFile {
     pub sensor: Option<String>,
     /// The sensor as its maker describes it: `laser` and `camera` follow from it.
     pub data_sheet: Option<DataSheet>,
+    /// Lower and upper corner of a box that holds the sensor's housing, in the head's frame. `check` says where it
+    /// touches the part. Default: none.
+    pub housing_mm: Option<[[f64; 3]; 2]>,
     /// What is measured.
     pub part: PartTable,
     /// What lights it.
@@ -312,6 +315,16 @@ pub struct CameraTable {
     #[serde(deserialize_with = "array")]
     pub resolution_px: [u32; 2],
     pub pixel_pitch_um: f64,
+    /// The region of interest: the first row that is read, from 0, and how many. Default: all.
+    #[serde(default, deserialize_with = "optional_array")]
+    pub read_rows: Option<[u32; 2]>,
+    /// Pixels along each side of a square that are read as one, 1 to 4. Default: 1.
+    pub binning: Option<u32>,
+    /// What of such pixels is added. Default: charge.
+    pub binning_of: Option<BinningOf>,
+    /// Frames a second that the sensor reads of all its rows; of fewer, more in proportion. Default: the readout
+    /// limits nothing.
+    pub full_frame_rate_hz: Option<f64>,
     /// Centre of the lens's pupil.
     #[serde(deserialize_with = "array")]
     pub position_mm: [f64; 3],
@@ -356,6 +369,17 @@ pub struct CameraTable {
     /// Standard deviation of the pixels' dark signals in electrons (EMVA 1288 DSNU), the same in every frame.
     /// Default: 0.
     pub dsnu_e: Option<f64>,
+}
+
+/// What is added of pixels that are read as one.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum BinningOf {
+    /// Their electrons, before they are read: full well, read noise, gain and bits are those of the sum.
+    #[default]
+    Charge,
+    /// Their counts: full well, read noise and bits are those of one pixel.
+    Counts,
 }
 
 /// What is in focus.
@@ -572,6 +596,10 @@ pub struct SensorFile {
     #[serde(rename = "camera")]
     #[schemars(with = "Option<CameraTable>")]
     _camera: Option<IgnoredAny>,
+    /// As in a scene.
+    #[serde(rename = "housing_mm")]
+    #[schemars(with = "Option<[[f64; 3]; 2]>")]
+    _housing: Option<IgnoredAny>,
     /// Of `accept` in a scene.
     #[serde(rename = "accept")]
     #[schemars(with = "Option<AcceptTable>")]

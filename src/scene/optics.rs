@@ -1,8 +1,8 @@
 //! Laser, camera and speckle of a scene file, validated.
 
 use super::file::{
-    AutoExposure, CameraTable, DistortionTable, Focus, LaserTable, ProfileName, ScanTable,
-    SceneFile, SpeckleMethod,
+    AutoExposure, BinningOf, CameraTable, DistortionTable, Focus, LaserTable, ProfileName,
+    ScanTable, SceneFile, SpeckleMethod,
 };
 use super::resolve::SpeckleModel;
 use super::resolver::Resolver;
@@ -223,12 +223,25 @@ impl Resolver<'_> {
     /// `frame_rate_hz` bounds the exposure from which one that is not given is found.
     fn sensor(&self, table: &CameraTable, frame_rate_hz: Option<f64>) -> Result<Sensor> {
         let positive = |value, key: &str| self.positive(value, &format!("camera.{key}"));
-        let [columns, rows] = table.resolution_px;
+        let [columns, all_rows] = table.resolution_px;
         self.check(
-            (1..=65_536).contains(&columns) && (1..=65_536).contains(&rows),
+            (1..=65_536).contains(&columns) && (1..=65_536).contains(&all_rows),
             "camera.resolution_px",
             "from 1 to 65536 columns and rows",
         )?;
+        let [first_row, rows] = table.read_rows.unwrap_or([0, all_rows]);
+        let inside = rows > 0
+            && first_row
+                .checked_add(rows)
+                .is_some_and(|end| end <= all_rows);
+        let expected = format!(
+            "the first row and their number, within the sensor's {all_rows} rows: [64, 128]"
+        );
+        self.check(inside, "camera.read_rows", &expected)?;
+        let frame_ms = match table.full_frame_rate_hz {
+            None => 0.0,
+            Some(rate) => 1e3 / positive(rate, "full_frame_rate_hz")?,
+        };
         let efficiency = positive(table.quantum_efficiency, "quantum_efficiency")?;
         self.check(
             efficiency <= 1.0,
@@ -248,8 +261,11 @@ impl Resolver<'_> {
             },
             (None, None, _) => return Err(self.source.missing("camera.exposure_ms")),
         };
-        Ok(Sensor {
+        let first = f64::from(first_row) + f64::from(rows) / 2.0;
+        let sensor = Sensor {
             resolution: UVec2::new(columns, rows),
+            off_middle: DVec2::Y * (first - f64::from(all_rows) / 2.0),
+            readout_ms: frame_ms * f64::from(rows) / f64::from(all_rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
             exposure_ms,
             quantum_efficiency: efficiency,
@@ -258,7 +274,34 @@ impl Resolver<'_> {
             full_well_e: positive(table.full_well_e, "full_well_e")?,
             black_level_dn: self.not_negative(table.black_level_dn, "black_level_dn")?,
             noise: self.noise(table)?,
-        })
+        };
+        self.binned(sensor, table)
+    }
+
+    /// The sensor whose pixels are read as squares of several.
+    fn binned(&self, sensor: Sensor, table: &CameraTable) -> Result<Sensor> {
+        let side = table.binning.unwrap_or(1);
+        let key = "camera.binning";
+        self.check((1..=4).contains(&side), key, "from 1 to 4")?;
+        let by_counts = table.binning_of == Some(BinningOf::Counts);
+        let whole = sensor.resolution % side == UVec2::ZERO;
+        let UVec2 {
+            x: columns,
+            y: rows,
+        } = sensor.resolution;
+        let expected = format!("a divisor of the {columns} columns and {rows} rows that are read");
+        self.check(whole, key, &expected)?;
+        let binned = if by_counts {
+            sensor.binned_counts(side)
+        } else {
+            sensor.binned_charge(side)
+        };
+        let expected = format!(
+            "fewer pixels or bits: their sum has {} bits, and counts at most 16",
+            binned.bit_depth
+        );
+        self.check(binned.bit_depth <= 16, key, &expected)?;
+        Ok(binned)
     }
 
     /// A value of the camera.

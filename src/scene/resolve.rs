@@ -108,6 +108,9 @@ pub struct Scene {
     pub camera: Camera,
     /// Where the camera stands in the head.
     pub head_from_camera: Rigid,
+    /// Box of the sensor's housing in the head's frame, mm; `None`: nobody says.
+    #[doc(hidden)]
+    pub housing: Option<Aabb>,
     /// Share of full scale at which the exposure is still to be set; `None`: it is as given.
     #[doc(hidden)]
     pub auto_exposure: Option<f64>,
@@ -340,6 +343,7 @@ impl Resolver<'_> {
         })?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
+        let housing = self.housing(file.housing_mm)?;
         let named = (&*groups, mesh.triangles.len());
         let surface = self.surfaces(&file.part, file.laser.wavelength_nm, named, |glossy| {
             polarised(glossy, &head_from_laser, &head_from_camera)
@@ -381,6 +385,7 @@ impl Resolver<'_> {
             head_from_laser,
             camera,
             head_from_camera,
+            housing,
             auto_exposure,
             sensor,
             measure,
@@ -398,6 +403,18 @@ impl Resolver<'_> {
         files.iter().for_each(|bytes| hash.update(bytes));
         let bytes = hash.finalize();
         bytes.iter().map(|b| format!("{b:02x}")).collect()
+    }
+
+    fn housing(&self, corners: Option<[[f64; 3]; 2]>) -> Result<Option<Aabb>> {
+        let Some([lower, upper]) = corners else {
+            return Ok(None);
+        };
+        self.lengths(lower, "housing_mm")?;
+        self.lengths(upper, "housing_mm")?;
+        let expected = "a lower corner and an upper one: [[-50, -120, 100], [50, 20, 180]]";
+        let ordered = lower.iter().zip(&upper).all(|(a, b)| a < b);
+        self.check(ordered, "housing_mm", expected)?;
+        Ok(Some(Aabb::of([lower, upper].map(DVec3::from))))
     }
 
     /// How far the triangles may be off the part, mm.

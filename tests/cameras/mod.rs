@@ -18,6 +18,8 @@ pub fn camera() -> Camera {
         },
         sensor: Sensor {
             resolution: UVec2::new(800, 600),
+            off_middle: lasertrace::math::DVec2::ZERO,
+            readout_ms: 0.0,
             pixel_pitch: 0.0055,
             exposure_ms: 1.0,
             quantum_efficiency: 0.5,

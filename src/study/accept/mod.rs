@@ -8,7 +8,7 @@ pub use layout::{Artefact, Artefacts, Placing, Volume};
 use super::sensor_scene::SensorScene;
 use crate::error::Result;
 use crate::inspect::acceptance::{Characteristic, Named};
-use crate::inspect::artefact::{Sphere, plane_residuals, shell};
+use crate::inspect::artefact::{Cap, Sphere, plane_residuals, shell};
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
@@ -21,12 +21,15 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use toml::{Table, Value};
 
 /// Chord of a sphere's triangles over its radius: the mesh lies so far within the sphere at most.
 pub const CHORD: f64 = 2e-5;
 /// Seeds from which on the interval of 95 % does not end with the outermost values.
 pub const ENOUGH_SEEDS: u64 = 50;
+/// What is evaluated of a sphere, in half angles of its cap: the outermost of the 25 points are means of what lies around them.
+const BEYOND: f64 = 1.05;
 /// Points below which a sphere or a plate is not taken for measured.
 const LEAST_POINTS: usize = 25;
 
@@ -185,17 +188,19 @@ impl Acceptance {
     /// What the test finds, over the seeds.
     pub fn characteristics(&self, seeds: u64, control: &Control) -> Result<Vec<Characteristic>> {
         let first = self.plate.scene.seed;
+        let done = AtomicU64::new(0);
         let mut by_place = Vec::new();
-        for (number, placing) in self.placings.iter().enumerate() {
+        for placing in &self.placings {
             let placed = self.placed(placing)?;
-            let mut by_seed = Vec::new();
-            for k in 0..seeds {
+            let of_seed = |k| {
                 control.check()?;
                 let simulation = placed.with_seed(first.wrapping_add(k))?;
-                by_seed.push(self.measure(placing, &simulation));
-                (control.progress)(number as u64 * seeds + k + 1);
-            }
-            by_place.push(by_seed);
+                let measured = self.measure(placing, &simulation);
+                (control.progress)(done.fetch_add(1, Ordering::Relaxed) + 1);
+                Ok(measured)
+            };
+            let by_seed = (0..seeds).into_par_iter().map(of_seed);
+            by_place.push(by_seed.collect::<Result<Vec<_>>>()?);
         }
         Ok(self.of_values(&by_place))
     }
@@ -236,11 +241,11 @@ impl Acceptance {
 
     fn sphere(&self, placing: &Placing, simulation: &Simulation) -> Measured {
         let (radius, cap) = (self.artefacts.sphere_mm / 2.0, self.artefacts.cap());
-        let least = (1.05 * cap).min(1.5).cos();
-        let mut points = valid_points(simulation);
-        points.retain(|p| p.z >= least * p.length());
-        let fitted = Sphere::fit(&points).filter(|_| points.len() >= LEAST_POINTS);
-        let Some(sphere) = fitted else {
+        let points = valid_points(simulation);
+        // About the sphere as it is measured: who measures knows no other.
+        let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, (BEYOND * cap).min(1.5));
+        let found = found.filter(|found| found.points.len() >= LEAST_POINTS);
+        let Some(Cap { sphere, points }) = found else {
             return Measured::default();
         };
         let representative = sphere.representative(&points, DVec3::Z, cap);

@@ -1,0 +1,48 @@
+use super::{Output, STOP, show};
+use crate::error::Result;
+use crate::error::printable::path;
+use crate::run::{Control, begin};
+use crate::scene::Unit;
+use std::path::PathBuf;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Mesh of the part (STL, OBJ, PLY, glTF, 3MF)
+    part: PathBuf,
+    /// File of a sensor (TOML)
+    sensor: PathBuf,
+    /// Unit of the part's file [default: mm, or what the file states]
+    #[arg(long, value_enum)]
+    unit: Option<Unit>,
+    /// Folder to write to
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
+    let building = output.share("of the hierarchy built");
+    let control = Control {
+        progress: &|_| {},
+        building: Some(&|share| show(&building, share)),
+        stop: &STOP,
+    };
+    let Arguments {
+        part,
+        sensor,
+        unit,
+        output: folder,
+    } = arguments;
+    let begun = begin(part, sensor, *unit, folder, &control);
+    building.finish_and_clear();
+    let begun = begun?;
+    let [x, y, z] = begun.size_mm;
+    let [beside, below] = begun.passes;
+    let text = format!(
+        "A part of {x:.4} × {y:.4} × {z:.4} mm, seen from +z in {beside} passes side by side, {below} of them one below the other: {} frames, \
+         {:.4} mm apart.\nscene:  {}\nLook at it with lasertrace check, and then run lasertrace scan.\n",
+        begun.frames,
+        begun.step_mm,
+        path(&begun.scene)
+    );
+    output.result(&begun, &text)
+}
