@@ -10,6 +10,7 @@ mod bend;
 mod blur;
 mod counts;
 mod defocus;
+mod disc;
 mod expose;
 mod flat;
 mod footprint;
