@@ -239,6 +239,8 @@ impl Transform {
         let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side[i]);
         let turn = |i: usize, n: usize, by: f64| {
             let (sin, cos) = (TAU * signed(i, n) * by).sin_cos();
+            // Half a cycle a sample is that on both sides of zero, which turn either way.
+            let sin = if 2 * i == n { 0.0 } else { sin };
             Complex32::new(cos as f32, sin as f32)
         };
         let [columns, rows] = band.size;
