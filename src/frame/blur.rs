@@ -19,8 +19,8 @@ use super::transform::{Band, Drawn, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
-use std::ops::Range;
-use wide::f32x8;
+use std::ops::{AddAssign, Range};
+use wide::f32x4;
 
 /// Steps of β at which light is spread: so far between two, the mean of both is as much wider as 1/64
 /// of a grain's square; and fields, whose phase at the pupil's rim differs by π/8, lose 0.2 % in
@@ -65,13 +65,12 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
 
 /// The mean of the light behind the lens, at the places at which speckle is read.
 fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
-    let image = [Drawn::at(0.0, 0.0, light.nodes.transformed())];
     let means = |light: &Light| {
-        let spread = |tile: &Tile| tile.spread(light, &image);
+        let spread = |tile: &Tile| [tile.spread(light)];
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         let mut means = vec![0.0; rows.total()];
         sum_of(tiles, &parts, &rows, &mut means, |sums, mean| {
-            mean[0] = sums[0].re.max(0.0);
+            mean[0] = sums[0].max(0.0);
         });
         means
     };
@@ -109,12 +108,12 @@ fn field_behind(
     tiles: &[Tile],
     rows: Rows,
 ) -> Light {
-    let side = light.nodes.transformed();
+    let side = [light.nodes.transformed(); 2];
     let nodes = Nodes::new(defocus::grid_behind(view));
     let images: Vec<Drawn> = nodes
         .places()
         .iter()
-        .map(|node| Drawn::at(node.x, node.y, side))
+        .map(|&node| Drawn::at(node, side))
         .collect();
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
     let reader = Reader::new(speckle, view.camera, camera_from_laser);
@@ -122,8 +121,14 @@ fn field_behind(
     let mut irradiance = vec![0.0; nodes.places().len() * rows.total()];
     for (pattern, weight) in reader.weights().into_iter().enumerate() {
         let field = |sample: &Sample| {
-            let amplitude = reader.amplitude(pattern, sample.place, sample.seen);
-            amplitude * wider * power(pattern, sample.polarised).sqrt()
+            let pixel = sample.pixel;
+            let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
+            let place = centre + light.nodes.places()[sample.number];
+            let seen = light.seen(pixel.number).get(sample.number);
+            let amplitude = reader.amplitude(pattern, place, seen.copied().unwrap_or_default());
+            let polarised = light.polarised(pixel.number).get(sample.number);
+            let power = power(pattern, polarised.copied().unwrap_or(0.0));
+            amplitude * wider * power.sqrt()
         };
         let spread = |tile: &Tile| tile.spread_field(light, &images, field);
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
@@ -150,9 +155,6 @@ fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
             tasks.push((row, mine));
         }
     }
-    let places: Vec<[f32; 2]> = (nodes.places().iter())
-        .map(|place| [place.x as f32, place.y as f32])
-        .collect();
     let columns = rows.pixels.columns;
     // One more at each end.
     let new = || [(); 3].map(|()| vec![0.0f32; columns + 2]);
@@ -176,11 +178,13 @@ fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
                 ];
                 let slopes = beside.map(|[before, after]| (after - before) / 2.0);
                 let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
-                for (light, place) in light.iter_mut().zip(&places) {
-                    let along = |i: usize| {
-                        slopes[i] * place[i] + bends[i] * (place[i] * place[i] - 1.0 / 12.0)
+                for (four, light) in nodes.fours().iter().zip(light.chunks_mut(4)) {
+                    let along = |i: usize, place: f32x4| {
+                        place * slopes[i] + (place * place - 1.0 / 12.0) * bends[i]
                     };
-                    *light = (mean + along(0) + along(1)).max(0.0);
+                    let sum = along(0, four.columns) + along(1, four.rows) + mean;
+                    let sum = sum.max(f32x4::ZERO).to_array();
+                    light.copy_from_slice(&sum[..light.len()]);
                 }
             }
         });
@@ -189,14 +193,14 @@ fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
 
 /// Adds up the images in the tiles' `parts`; `take` gets the sums of all images in each pixel of `rows`,
 /// and where its values go.
-fn sum_of(
+fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
     tiles: &[Tile],
-    parts: &[Vec<Vec<Complex32>>],
+    parts: &[impl AsRef<[Vec<T>]> + Sync],
     rows: &Rows,
     values: &mut [f32],
-    take: impl Fn(&[Complex32], &mut [f32]) + Sync,
+    take: impl Fn(&[T], &mut [f32]) + Sync,
 ) {
-    let Some(images) = parts.first().map(Vec::len) else {
+    let Some(images) = parts.first().map(|images| images.as_ref().len()) else {
         return;
     };
     let count = values.len() / rows.total().max(1);
@@ -209,11 +213,11 @@ fn sum_of(
             tasks.push((row, mine));
         }
     }
-    let new = || vec![Complex32::ZERO; images * rows.pixels.columns];
+    let new = || vec![T::default(); images * rows.pixels.columns];
     tasks
         .into_par_iter()
         .for_each_init(new, |sums, (row, values)| {
-            sums.fill(Complex32::ZERO);
+            sums.fill(T::default());
             for (tile, part) in tiles.iter().zip(parts) {
                 let all = tile.around();
                 let around = all.within(&rows.pixels);
@@ -224,7 +228,7 @@ fn sum_of(
                 let skipped = (around.columns.start - all.columns.start) as usize;
                 let onto = sums.chunks_mut(images).skip(around.columns.start as usize);
                 for (i, sums) in onto.take(around.columns.len()).enumerate() {
-                    for (sum, image) in sums.iter_mut().zip(part) {
+                    for (sum, image) in sums.iter_mut().zip(part.as_ref()) {
                         *sum += image[first + skipped + i];
                     }
                 }
@@ -269,24 +273,22 @@ struct Tile {
     own: Rectangle,
     /// How far their light goes, pixels.
     margin: [usize; 2],
+    /// Samples of a pixel along columns and rows that are transformed.
+    side: [usize; 2],
     pupil: Pupil,
     lit: Vec<Pixel>,
     /// β at which light is spread, evenly from the least to the greatest.
     layers: Vec<f64>,
 }
 
-/// A lit sample in a layer.
-struct Sample {
-    /// Its number in the tile's own rows of the grid.
-    at: usize,
-    /// On the sensor, pixels.
-    place: DVec2,
-    seen: Seen,
+/// A lit sample.
+struct Sample<'a> {
+    pixel: &'a Pixel,
+    /// Which of the pixel's it is.
+    number: usize,
     irradiance: f32,
-    /// Degree of polarisation, where the light has several; else 0.
-    polarised: f32,
-    /// The layer's share of it.
-    share: f32,
+    /// The layers that share it, and their shares.
+    shares: [(usize, f32); 2],
 }
 
 /// Least and greatest β of a pixel's lit samples.
@@ -314,9 +316,10 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
         }
     }
     let wavelength = view.laser.beam.wavelength;
-    let step = match view.lens.blur {
-        Blur::Coherent => STEP / 2.0,
-        _ => STEP,
+    let side = light.nodes.transformed();
+    let (step, side) = match view.lens.blur {
+        Blur::Coherent => (STEP / 2.0, [side; 2]),
+        _ => (STEP, [1, side]),
     };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
@@ -351,6 +354,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                     rows: first..end + 1,
                 },
                 margin,
+                side,
                 pupil,
                 lit: own.iter().map(|(pixel, _)| *pixel).collect(),
                 layers: match steps <= 1.0 {
@@ -388,49 +392,61 @@ impl Tile {
         }
     }
 
-    /// Layers that light of this β is shared by, and the second's share.
-    fn shares(&self, blur: f64) -> (usize, f64) {
+    /// Layers that light of this β is shared by, and their shares.
+    fn shares(&self, blur: f64) -> [(usize, f32); 2] {
         let last = self.layers.len() - 1;
         if last == 0 {
-            return (0, 0.0);
+            return [(0, 1.0), (0, 0.0)];
         }
         let step = (self.layers[last] - self.layers[0]) / last as f64;
         let at = ((blur - self.layers[0]) / step).clamp(0.0, last as f64);
         let first = (at as usize).min(last - 1);
-        (first, at - first as f64)
+        let second = at - first as f64;
+        [(first, (1.0 - second) as f32), (first + 1, second as f32)]
     }
 
-    /// Its lit samples, by layers.
-    fn samples(&self, light: &Light) -> Vec<Vec<Sample>> {
-        let side = light.nodes.transformed();
-        let in_pixel = light.nodes.side() / side;
-        let columns = self.extent()[0] * side;
-        let mut layers: Vec<Vec<Sample>> = self.layers.iter().map(|_| Vec::new()).collect();
+    /// Of each layer what its lit samples put in, by their places: `values` are those of both its shares.
+    fn by_layer<T>(
+        &self,
+        light: &Light,
+        values: impl Fn(&Sample) -> [T; 2],
+    ) -> Vec<Vec<(usize, T)>> {
+        let mut layers: Vec<Vec<(usize, T)>> = self.layers.iter().map(|_| Vec::new()).collect();
+        let side = self.side;
+        let in_sample = side.map(|side| light.nodes.side() / side);
+        let columns = self.grid()[0];
+        let offset = |i: usize| {
+            let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
+            y / in_sample[1] * columns + x / in_sample[0]
+        };
+        // The mean over what is transformed as one.
+        let weight = |weight: &f32| weight * (side[0] * side[1]) as f32;
+        let nodes: Vec<(usize, f32)> = (light.nodes.weights().iter().enumerate())
+            .map(|(i, of)| (offset(i), weight(of)))
+            .collect();
         for pixel in &self.lit {
-            let column = side * ((pixel.column - self.own.columns.start) as usize + self.margin[0]);
-            let row = side * (pixel.row - self.own.rows.start) as usize;
-            let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
+            let column = (pixel.column - self.own.columns.start) as usize + self.margin[0];
+            let row = (pixel.row - self.own.rows.start) as usize;
+            let first = side[1] * row * columns + side[0] * column;
             let samples = light
                 .samples(pixel.number)
                 .iter()
                 .zip(light.blur(pixel.number));
-            let weights = light.nodes.weights();
-            for (i, ((&irradiance, &blur), weight)) in samples.zip(weights).enumerate() {
-                if irradiance > 0.0 {
-                    let (first, second) = self.shares(blur as f64);
-                    let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
-                    let sample = |share: f64| Sample {
-                        at: (row + y / in_pixel) * columns + column + x / in_pixel,
-                        place: centre + light.nodes.places()[i],
-                        seen: (light.seen(pixel.number).get(i).copied()).unwrap_or_default(),
-                        // The mean over what is transformed as one.
-                        irradiance: irradiance * weight * (side * side) as f32,
-                        polarised: (light.polarised(pixel.number).get(i).copied()).unwrap_or(0.0),
-                        share: share as f32,
-                    };
-                    layers[first].push(sample(1.0 - second));
-                    if second > 0.0 {
-                        layers[first + 1].push(sample(second));
+            for (number, ((&irradiance, &blur), &(offset, weight))) in
+                samples.zip(&nodes).enumerate()
+            {
+                if irradiance == 0.0 {
+                    continue;
+                }
+                let sample = Sample {
+                    pixel,
+                    number,
+                    irradiance: irradiance * weight,
+                    shares: self.shares(blur as f64),
+                };
+                for ((layer, share), value) in sample.shares.into_iter().zip(values(&sample)) {
+                    if share > 0.0 {
+                        layers[layer].push((first + offset, value));
                     }
                 }
             }
@@ -438,79 +454,62 @@ impl Tile {
         layers
     }
 
-    /// What a lens makes of its samples, in `images` of its grid's pixels: `value` is what of each sample
-    /// goes in, `passes` what comes out of each frequency of the `band` at a β.
-    fn through_lens(
-        &self,
-        light: &Light,
-        band: &Band,
-        images: &[Drawn],
-        value: impl Fn(&Sample) -> Complex32,
-        passes: impl Fn(f64) -> Vec<Complex32>,
-    ) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
-        let columns = self.extent()[0] * side;
+    /// Samples along the columns and rows of its grid.
+    fn grid(&self) -> [usize; 2] {
+        let extent = self.extent();
+        [0, 1].map(|i| extent[i] * self.side[i])
+    }
+
+    /// Cycles a pixel of frequencies in cycles a sample.
+    fn per_pixel(&self) -> DVec2 {
+        DVec2::new(self.side[0] as f64, self.side[1] as f64)
+    }
+
+    /// Its mean light behind the lens, in the pixels around it, row by row.
+    fn spread(&self, light: &Light) -> Vec<f32> {
+        let band = Band::of_real(self.grid(), 2.0 * self.pupil.most() / self.per_pixel());
+        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * self.per_pixel()).collect();
+        let columns = self.grid()[0];
         let mut sum = vec![Complex32::ZERO; band.len()];
-        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * side];
-        for (samples, &blur) in self.samples(light).iter().zip(&self.layers) {
-            if samples.is_empty() {
+        let mut pairs =
+            vec![Complex32::ZERO; columns * (self.own.rows.len() * self.side[1]).div_ceil(2)];
+        let layers = self.by_layer(light, |sample| {
+            sample.shares.map(|(_, share)| sample.irradiance * share)
+        });
+        for (values, &blur) in layers.iter().zip(&self.layers) {
+            if values.is_empty() {
                 continue;
             }
-            rows.fill(Complex32::ZERO);
-            for sample in samples {
-                rows[sample.at] += value(sample);
+            pairs.fill(Complex32::ZERO);
+            for &(at, value) in values {
+                let (row, column) = (at / columns, at % columns);
+                let pair = &mut pairs[row / 2 * columns + column];
+                match row % 2 {
+                    0 => pair.re += value,
+                    _ => pair.im += value,
+                }
             }
-            let first = self.margin[1] * side;
-            let spectrum = Transform::with(|own| own.forward(&mut rows, first, band));
-            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes(blur)) {
+            let first = self.margin[1] * self.side[1];
+            let spectrum = Transform::with(|own| own.forward_real(&mut pairs, first, &band));
+            let passes = self.pupil.passes(&frequencies, blur);
+            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes) {
                 *sum += value * pass;
             }
         }
-        let image = |drawn| Transform::with(|own| own.backward(&sum, band, drawn));
-        images.iter().map(image).collect()
-    }
-
-    /// The frequencies up to these (cycles a pixel) on its grid of so many samples along a pixel's
-    /// side.
-    fn band(&self, most: DVec2, side: usize) -> Band {
-        Band::new(self.extent().map(|n| n * side), most / side as f64)
-    }
-
-    /// Its mean light behind the lens, real, over pixels where samples are.
-    fn spread(&self, light: &Light, images: &[Drawn]) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
-        let band = self.band(2.0 * self.pupil.most(), side);
-        // What goes in may be the mean over pixels already.
-        let integrated = light.nodes.side() > side;
-        let value = |sample: &Sample| (sample.irradiance * sample.share).into();
-        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * side as f64).collect();
-        let passes = |blur: f64| {
-            let rule = Pupil::rule(blur);
-            let mut passes = vec![Complex32::ZERO; frequencies.len()];
-            // The transfer is the same on both sides of zero.
-            let half: Vec<usize> = (0..band.len()).filter(|&i| i <= band.mirrored(i)).collect();
-            for eight in half.chunks(8) {
-                let of = |axis: usize| {
-                    let mut lanes = [0.0; 8];
-                    for (lane, &i) in lanes.iter_mut().zip(eight) {
-                        *lane = frequencies[i][axis] as f32;
-                    }
-                    f32x8::from(lanes)
-                };
-                let values = self.pupil.transfers([of(0), of(1)], blur, &rule);
-                for (&i, value) in eight.iter().zip(values.to_array()) {
-                    let mean = match integrated {
-                        true => 1.0,
-                        false => sinc(frequencies[i].x) * sinc(frequencies[i].y),
-                    };
-                    let pass = value * mean as f32;
-                    passes[i] = pass.into();
-                    passes[band.mirrored(i)] = pass.into();
-                }
+        // What went in may be the mean over pixels already, along one side or both.
+        let integrated = self.side.map(|side| light.nodes.side() > side);
+        for (sum, frequency) in sum.iter_mut().zip(&frequencies) {
+            for i in (0..2).filter(|&i| !integrated[i]) {
+                *sum *= sinc(frequency[i]) as f32;
             }
-            passes
-        };
-        self.through_lens(light, &band, images, value, passes)
+        }
+        let drawn = Drawn::at(DVec2::ZERO, self.side);
+        let pairs = Transform::with(|own| own.backward_real(&sum, &band, &drawn));
+        let rows = pairs.chunks(columns).flat_map(|pair| {
+            let [even, odd] = [|z: &Complex32| z.re, |z: &Complex32| z.im];
+            pair.iter().map(even).chain(pair.iter().map(odd))
+        });
+        rows.take(columns * self.extent()[1]).collect()
     }
 
     /// The field behind the lens of a surface that has `field` at its samples, of mean square 1 in the
@@ -521,12 +520,11 @@ impl Tile {
         images: &[Drawn],
         field: impl Fn(&Sample) -> Complex32,
     ) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
         let cell = DVec2::from(self.extent().map(|n| 1.0 / n as f64));
-        let band = self.band(self.pupil.most() + cell, side);
+        let band = Band::new(self.grid(), (self.pupil.most() + cell) / self.per_pixel());
         let openings: Vec<(f32, f32)> = band
             .frequencies()
-            .map(|frequency| self.pupil.opening(frequency * side as f64, cell))
+            .map(|frequency| self.pupil.opening(frequency * self.per_pixel(), cell))
             .collect();
         // Cells at the rim are open by a share, of whose light that share's square comes through.
         let open: f64 = openings
@@ -534,14 +532,32 @@ impl Tile {
             .map(|&(share, _)| (share * share) as f64)
             .sum();
         let scale = (self.pupil.cells(cell) / open).sqrt() as f32;
-        let value =
-            |sample: &Sample| field(sample) * (sample.irradiance.sqrt() * sample.share * scale);
-        let passes = |blur: f64| {
+        let columns = self.grid()[0];
+        let mut sum = vec![Complex32::ZERO; band.len()];
+        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * self.side[1]];
+        let layers = self.by_layer(light, |sample| {
+            let (field, root) = (field(sample), sample.irradiance.sqrt());
+            sample
+                .shares
+                .map(|(_, share)| field * (root * share * scale))
+        });
+        for (values, &blur) in layers.iter().zip(&self.layers) {
+            if values.is_empty() {
+                continue;
+            }
+            rows.fill(Complex32::ZERO);
+            for &(at, value) in values {
+                rows[at] += value;
+            }
+            let first = self.margin[1] * self.side[1];
+            let spectrum = Transform::with(|own| own.forward(&mut rows, first, &band));
             let turn = std::f32::consts::PI * blur as f32;
-            let pass = |&(share, phase): &(f32, f32)| Complex32::from_polar(share, turn * phase);
-            openings.iter().map(pass).collect()
-        };
-        self.through_lens(light, &band, images, value, passes)
+            for ((sum, value), &(share, phase)) in sum.iter_mut().zip(spectrum).zip(&openings) {
+                *sum += value * Complex32::from_polar(share, turn * phase);
+            }
+        }
+        let image = |drawn| Transform::with(|own| own.backward(&sum, &band, drawn));
+        images.iter().map(image).collect()
     }
 }
 
@@ -559,25 +575,28 @@ fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
             }
         }
     }
+    // Of each column the nearest that has light, and which of its pixels is the nearest so far.
     let with_light: Vec<usize> = (0..lit.len()).filter(|&c| !lit[c].is_empty()).collect();
     if with_light.is_empty() {
         return Vec::new();
     }
+    let nearest = |column: usize| {
+        let after = with_light.partition_point(|&c| c < column);
+        let beside = with_light[after.saturating_sub(1)..].iter().take(2);
+        let nearest = beside.min_by_key(|c| c.abs_diff(column));
+        (*nearest.expect("one is lit"), 0)
+    };
+    let mut nearest: Vec<(usize, usize)> = (0..lit.len()).map(nearest).collect();
     let mut seen = Vec::with_capacity(rows.total());
     for row in 0..rows.pixels.rows {
-        for column in rows.pixels.of(row).map(|column| column + beyond) {
-            let after = with_light.partition_point(|&c| c < column);
-            let beside = with_light[after.saturating_sub(1)..].iter().take(2);
-            let nearest = beside
-                .min_by_key(|c| c.abs_diff(column))
-                .expect("one is lit");
-            let lit = &lit[*nearest];
-            let after = lit.partition_point(|&(r, _)| r < row + beyond);
-            let beside = lit[after.saturating_sub(1)..].iter().take(2);
-            let (_, what) = beside
-                .min_by_key(|(r, _)| r.abs_diff(row + beyond))
-                .expect("one is lit");
-            seen.push(*what);
+        for column in rows.pixels.of(row) {
+            let (of, at) = &mut nearest[column + beyond];
+            let lit = &lit[*of];
+            let off = |at: usize| lit[at].0.abs_diff(row + beyond);
+            while *at + 1 < lit.len() && off(*at + 1) < off(*at) {
+                *at += 1;
+            }
+            seen.push(lit[*at].1);
         }
     }
     seen

@@ -4,8 +4,8 @@ use super::View;
 use super::defocus::Blur;
 use super::irradiance::Irradiance;
 use super::light::Light;
-use super::pixels::middle;
-use super::speckle::Reader;
+use super::pixels::{BLOCK, middle};
+use super::speckle::{Nearby, PixelReader, Reader};
 use rayon::prelude::*;
 use wide::f32x4;
 
@@ -38,10 +38,19 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
     let faint = faint(&light, view);
     tasks.into_par_iter().for_each(|(task, values)| {
         let first = rows.start(task.start);
-        for row in task {
-            for (column, pixel) in rows.pixels.of(row).zip(rows.start(row)..) {
-                let reader = reader.as_ref().map(|reader| (reader, column, row));
-                values[pixel - first] = exposed(&light, pixel, reader, faint[column]);
+        // Numbers of the next pixel of each row. By blocks of columns, so that what is read of speckle
+        // in one row is at hand in the next.
+        let mut next: Vec<usize> = task.clone().map(|row| rows.start(row)).collect();
+        for block in 0..rows.pixels.blocks() {
+            let mut nearby = [const { Nearby::NONE }; BLOCK];
+            for (row, pixel) in task.clone().zip(&mut next) {
+                for column in rows.pixels.in_block(row, block) {
+                    let near = &mut nearby[column % BLOCK];
+                    let reader = reader.as_ref();
+                    let reader = reader.map(|reader| reader.pixel(middle(column, row), near));
+                    values[*pixel - first] = exposed(&light, *pixel, reader, faint[column]);
+                    *pixel += 1;
+                }
             }
         }
     });
@@ -61,15 +70,9 @@ fn faint(light: &Light, view: &View) -> Vec<f32> {
     faint
 }
 
-/// Mean irradiance of a pixel, by its number, with the speckle that `reader` has in this
-/// column and row; see [`faint`].
+/// Mean irradiance of a pixel, by its number, with the speckle that `reader` has there; see [`faint`].
 #[inline(always)]
-fn exposed(
-    light: &Light,
-    pixel: usize,
-    reader: Option<(&Reader, usize, usize)>,
-    faint: f32,
-) -> f32 {
+fn exposed(light: &Light, pixel: usize, reader: Option<PixelReader>, faint: f32) -> f32 {
     let samples = light.samples(pixel);
     let fours = light.nodes.fours().iter().zip(samples.chunks(4));
     let weighted = |(four, irradiance): (&super::grid::Four, &[f32])| {
@@ -80,24 +83,21 @@ fn exposed(
     let sum: f32x4 = match reader {
         None => fours.map(weighted).sum(),
         Some(_) if samples.iter().all(|&irradiance| irradiance == 0.0) => return 0.0,
-        Some((reader, column, row)) if !light.polarised(pixel).is_empty() => {
-            let (middle, seen) = (middle(column, row), light.seen(pixel));
+        Some(reader) if !light.polarised(pixel).is_empty() => {
+            let seen = light.seen(pixel);
             let of = (light.nodes.places().iter()).zip(light.nodes.weights());
             let of = of.zip(samples.iter().zip(light.polarised(pixel)));
-            let read = |(i, ((place, weight), (irradiance, &polarised)))| {
+            let read = |(i, ((&place, weight), (irradiance, &polarised)))| {
                 let seen = seen.get(i).or(seen.first()).copied().unwrap_or_default();
-                let speckle = reader.intensity_of(middle + place, seen, polarised);
-                weight * irradiance * speckle
+                weight * irradiance * reader.one_of(place, seen, polarised)
             };
             return of.enumerate().map(read).sum();
         }
-        Some((reader, column, row)) if samples.iter().all(|&irradiance| irradiance < faint) => {
+        Some(mut reader) if samples.iter().all(|&irradiance| irradiance < faint) => {
             let seen = light.seen(pixel).first().copied().unwrap_or_default();
-            let speckle = reader.intensity(middle(column, row), seen) as f32;
-            fours.map(weighted).sum::<f32x4>() * speckle
+            fours.map(weighted).sum::<f32x4>() * reader.middle(seen)
         }
-        Some((reader, column, row)) => {
-            let mut reader = reader.pixel(middle(column, row));
+        Some(mut reader) => {
             let seen = light.seen(pixel);
             let all = [seen.first().copied().unwrap_or_default(); 4];
             let read = |(i, (four, irradiance)): (usize, (&super::grid::Four, &[f32]))| {

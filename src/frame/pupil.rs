@@ -8,6 +8,7 @@
 //! cosines, is what a pupil seen from the side leaves of it: on a sensor parallel to the lens the
 //! blur has the pupil's shape.
 
+use super::disc::{self, Disc};
 use crate::camera::Camera;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{Aperture, DMat2, DVec2};
@@ -24,6 +25,8 @@ pub(super) struct Pupil {
     from_frequency: DMat2,
     /// M.
     oblique: DMat2,
+    /// n.
+    direction: DVec2,
 }
 
 impl Pupil {
@@ -37,6 +40,7 @@ impl Pupil {
             grains,
             from_frequency: grains.transpose().inverse(),
             oblique: (DMat2::IDENTITY - DMat2::from_cols(n * n.x, n * n.y)) * cosine,
+            direction: n,
         }
     }
 
@@ -104,7 +108,7 @@ impl Pupil {
     /// autocorrelation of the pupil under its phase, ∫ P(u + ν/2)·P(u − ν/2)·cos(2πβ·u·Mν) d²u /
     /// ∫P d²u (Hopkins 1955). 1 at zero frequency, 0 from where the pupil no longer overlaps itself.
     /// `rule`: see [`Pupil::rule`].
-    pub fn transfers(&self, frequency: [f32x8; 2], blur: f64, rule: &[(f64, f64)]) -> f32x8 {
+    fn transfers(&self, frequency: [f32x8; 2], blur: f64, rule: &[(f64, f64)]) -> f32x8 {
         let of = |m: &DMat2, [x, y]: [f32x8; 2]| {
             let [a, b, c, d] = m.to_cols_array().map(|v| v as f32);
             [x * a + y * c, x * b + y * d]
@@ -148,10 +152,53 @@ impl Pupil {
         sum * widest * (4.0 / std::f32::consts::PI)
     }
 
+    /// [`Pupil::transfers`] of any number of frequencies; of a round pupil near the axis by table.
+    ///
+    /// There the blur along a lag ν is β·νᵀMν/ν², and what M has across it, at most |n|²/2 of that, is left out:
+    /// as far as light is passed, to βν = 1, that is (π·|n|²/2)²/12 of the transfer, 3e-4.
+    pub fn passes(&self, frequencies: &[DVec2], blur: f64) -> Vec<f32> {
+        let is_near = self.direction.length_squared() <= 0.06;
+        if self.aperture == Aperture::Circle && is_near && blur.abs() < disc::MOST {
+            return self.passes_of_disc(frequencies, blur.abs());
+        }
+        let rule = Pupil::rule(blur);
+        let mut passes = Vec::with_capacity(frequencies.len() + 7);
+        for eight in frequencies.chunks(8) {
+            let of = |axis: usize| {
+                let mut lanes = [0.0; 8];
+                for (lane, frequency) in lanes.iter_mut().zip(eight) {
+                    *lane = frequency[axis] as f32;
+                }
+                f32x8::from(lanes)
+            };
+            passes.extend(self.transfers([of(0), of(1)], blur, &rule).to_array());
+        }
+        passes
+    }
+
+    fn passes_of_disc(&self, frequencies: &[DVec2], blur: f64) -> Vec<f32> {
+        let n = self.direction;
+        let cosine = (1.0 - n.length_squared()).sqrt();
+        let disc = Disc::new(blur * cosine.powi(3), blur * cosine);
+        let [a, b, c, d] = self.from_frequency.to_cols_array().map(|v| v as f32);
+        let (along, n) = ((blur * cosine) as f32, n.as_vec2());
+        let pass = |frequency: &DVec2| {
+            let [x, y] = frequency.to_array().map(|f| f as f32);
+            let (x, y) = (x * a + y * c, x * b + y * d);
+            let square = x * x + y * y;
+            if square < 1e-12 {
+                return 1.0;
+            }
+            let off = x * n.x + y * n.y;
+            disc.transfer(square.sqrt(), along * (1.0 - off * off / square))
+        };
+        frequencies.iter().map(pass).collect()
+    }
+
     /// Nodes for [`Pupil::transfers`] at |β| `blur`: the phase is at most π|β|/4 along the strips, and
     /// a rule of n nodes integrates cos(φx) over 0 to 1 to f32's last digits from
     /// n = φ/2 + 6 on.
-    pub fn rule(blur: f64) -> Vec<(f64, f64)> {
+    fn rule(blur: f64) -> Vec<(f64, f64)> {
         gauss_legendre(6 + (blur.abs() * PI / 8.0).ceil() as usize)
     }
 }
