@@ -20,7 +20,6 @@ use crate::math::{DVec2, sinc};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::ops::{AddAssign, Range};
-use wide::f32x4;
 
 /// Steps of β at which light is spread: so far between two, the mean of both is as much wider as 1/64
 /// of a grain's square; and fields, whose phase at the pupil's rim differs by π/8, lose 0.2 % in
@@ -63,7 +62,7 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
     }
 }
 
-/// The mean of the light behind the lens, at the places at which speckle is read.
+/// The mean of the light behind the lens over each pixel.
 fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
     let means = |light: &Light| {
         let spread = |tile: &Tile| [tile.spread(light)];
@@ -75,28 +74,25 @@ fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond
         means
     };
     let all = means(&light);
+    let nodes = Nodes::new(Grid::Even { per_side: 1 });
     if view.speckle.is_none() {
-        let nodes = Nodes::new(Grid::Even { per_side: 1 });
         return Light::spread(rows, nodes, all, Vec::new());
     }
     let seen = seen_nearest(&light, &rows, beyond);
-    let nodes = Nodes::new(view.grid);
-    let irradiance = within_pixels(&all, &rows, &nodes);
     let mut polarised = Vec::new();
     if !light.polarised.is_empty() {
         // The lens spreads what is polarised with the rest.
         let each = light.irradiance.iter_mut().zip(&light.polarised);
         each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
         let degrees = means(&light).into_iter().zip(&all);
-        let count = nodes.places().len();
-        polarised.extend(degrees.flat_map(|(kept, &all)| {
+        polarised.extend(degrees.map(|(kept, &all)| {
             let degree = (kept / all).clamp(0.0, 1.0);
-            std::iter::repeat_n(if degree.is_nan() { 0.0 } else { degree }, count)
+            if degree.is_nan() { 0.0 } else { degree }
         }));
     }
     Light {
         polarised,
-        ..Light::spread(rows, nodes, irradiance, seen)
+        ..Light::spread(rows, nodes, all, seen)
     }
 }
 
@@ -108,7 +104,7 @@ fn field_behind(
     tiles: &[Tile],
     rows: Rows,
 ) -> Light {
-    let side = [light.nodes.transformed(); 2];
+    let side = light.nodes.transformed();
     let nodes = Nodes::new(defocus::grid_behind(view));
     let images: Vec<Drawn> = nodes
         .places()
@@ -139,56 +135,6 @@ fn field_behind(
         });
     }
     Light::spread(rows, nodes, irradiance, Vec::new())
-}
-
-/// Light at the nodes of each pixel, for speckle to be multiplied into: from the means over it and
-/// its neighbours as if it were a parabola along either side.
-fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
-    let count = nodes.places().len();
-    let mut light = vec![0.0; count * means.len()];
-    let mut left = &mut light[..];
-    let mut tasks = Vec::new();
-    for row in 0..rows.pixels.rows {
-        let mine;
-        (mine, left) = left.split_at_mut(count * rows.range(row).len());
-        if !mine.is_empty() {
-            tasks.push((row, mine));
-        }
-    }
-    let columns = rows.pixels.columns;
-    // One more at each end.
-    let new = || [(); 3].map(|()| vec![0.0f32; columns + 2]);
-    tasks
-        .into_par_iter()
-        .for_each_init(new, |near, (row, light)| {
-            for (near, row) in near.iter_mut().zip([row.wrapping_sub(1), row, row + 1]) {
-                near.fill(0.0);
-                if row < rows.pixels.rows {
-                    for (column, mean) in rows.pixels.of(row).zip(&means[rows.range(row)]) {
-                        near[column + 1] = *mean;
-                    }
-                }
-            }
-            let of_pixels = light.chunks_exact_mut(count);
-            for (column, light) in rows.pixels.of(row).zip(of_pixels) {
-                let mean = near[1][column + 1];
-                let beside = [
-                    [near[1][column], near[1][column + 2]],
-                    [near[0][column + 1], near[2][column + 1]],
-                ];
-                let slopes = beside.map(|[before, after]| (after - before) / 2.0);
-                let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
-                for (four, light) in nodes.fours().iter().zip(light.chunks_mut(4)) {
-                    let along = |i: usize, place: f32x4| {
-                        place * slopes[i] + (place * place - 1.0 / 12.0) * bends[i]
-                    };
-                    let sum = along(0, four.columns) + along(1, four.rows) + mean;
-                    let sum = sum.max(f32x4::ZERO).to_array();
-                    light.copy_from_slice(&sum[..light.len()]);
-                }
-            }
-        });
-    light
 }
 
 /// Adds up the images in the tiles' `parts`; `take` gets the sums of all images in each pixel of `rows`,
@@ -226,11 +172,11 @@ fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
                 }
                 let first = (row as isize - all.rows.start) as usize * all.columns.len();
                 let skipped = (around.columns.start - all.columns.start) as usize;
-                let onto = sums.chunks_mut(images).skip(around.columns.start as usize);
-                for (i, sums) in onto.take(around.columns.len()).enumerate() {
-                    for (sum, image) in sums.iter_mut().zip(part.as_ref()) {
-                        *sum += image[first + skipped + i];
-                    }
+                let onto = &mut sums[images * around.columns.start as usize..];
+                for (i, image) in part.as_ref().iter().enumerate() {
+                    let values = &image[first + skipped..][..around.columns.len()];
+                    let sums = onto[i..].iter_mut().step_by(images);
+                    sums.zip(values).for_each(|(sum, &value)| *sum += value);
                 }
             }
             let of_pixels = values.chunks_exact_mut(count);
@@ -273,8 +219,8 @@ struct Tile {
     own: Rectangle,
     /// How far their light goes, pixels.
     margin: [usize; 2],
-    /// Samples of a pixel along columns and rows that are transformed.
-    side: [usize; 2],
+    /// Samples along the side of a pixel that are transformed.
+    side: usize,
     pupil: Pupil,
     lit: Vec<Pixel>,
     /// β at which light is spread, evenly from the least to the greatest.
@@ -286,9 +232,6 @@ struct Sample<'a> {
     pixel: &'a Pixel,
     /// Which of the pixel's it is.
     number: usize,
-    irradiance: f32,
-    /// The layers that share it, and their shares.
-    shares: [(usize, f32); 2],
 }
 
 /// Least and greatest β of a pixel's lit samples.
@@ -317,9 +260,9 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
     }
     let wavelength = view.laser.beam.wavelength;
     let side = light.nodes.transformed();
-    let (step, side) = match view.lens.blur {
-        Blur::Coherent => (STEP / 2.0, [side; 2]),
-        _ => (STEP, [1, side]),
+    let step = match view.lens.blur {
+        Blur::Coherent => STEP / 2.0,
+        _ => STEP,
     };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
@@ -405,48 +348,46 @@ impl Tile {
         [(first, (1.0 - second) as f32), (first + 1, second as f32)]
     }
 
-    /// Of each layer what its lit samples put in, by their places: `values` are those of both its shares.
-    fn by_layer<T>(
+    /// Of each sample of a pixel how much further on than the pixel's first it is transformed, and its weight in the
+    /// mean over what is transformed as one.
+    fn nodes(&self, light: &Light) -> Vec<(usize, f32)> {
+        let in_sample = light.nodes.side() / self.side;
+        let columns = self.grid()[0];
+        let node = |(i, weight): (usize, &f32)| {
+            let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
+            let offset = y / in_sample * columns + x / in_sample;
+            (offset, weight * (self.side * self.side) as f32)
+        };
+        light.nodes.weights().iter().enumerate().map(node).collect()
+    }
+
+    /// Where a pixel's first sample is in the tile's own rows.
+    fn first(&self, pixel: &Pixel) -> usize {
+        let column = (pixel.column - self.own.columns.start) as usize + self.margin[0];
+        let row = (pixel.row - self.own.rows.start) as usize;
+        self.side * (row * self.grid()[0] + column)
+    }
+
+    /// What lit samples put into each layer as a field: theirs, and where.
+    fn by_layer(
         &self,
         light: &Light,
-        values: impl Fn(&Sample) -> [T; 2],
-    ) -> Vec<Vec<(usize, T)>> {
-        let mut layers: Vec<Vec<(usize, T)>> = self.layers.iter().map(|_| Vec::new()).collect();
-        let side = self.side;
-        let in_sample = side.map(|side| light.nodes.side() / side);
-        let columns = self.grid()[0];
-        let offset = |i: usize| {
-            let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
-            y / in_sample[1] * columns + x / in_sample[0]
-        };
-        // The mean over what is transformed as one.
-        let weight = |weight: &f32| weight * (side[0] * side[1]) as f32;
-        let nodes: Vec<(usize, f32)> = (light.nodes.weights().iter().enumerate())
-            .map(|(i, of)| (offset(i), weight(of)))
-            .collect();
+        field: impl Fn(&Sample) -> Complex32,
+    ) -> Vec<Vec<(usize, Complex32)>> {
+        let mut layers: Vec<Vec<(usize, Complex32)>> = vec![Vec::new(); self.layers.len()];
+        let nodes = self.nodes(light);
         for pixel in &self.lit {
-            let column = (pixel.column - self.own.columns.start) as usize + self.margin[0];
-            let row = (pixel.row - self.own.rows.start) as usize;
-            let first = side[1] * row * columns + side[0] * column;
-            let samples = light
-                .samples(pixel.number)
-                .iter()
-                .zip(light.blur(pixel.number));
-            for (number, ((&irradiance, &blur), &(offset, weight))) in
-                samples.zip(&nodes).enumerate()
-            {
+            let first = self.first(pixel);
+            let samples = light.samples(pixel.number).iter();
+            let samples = samples.zip(light.blur(pixel.number)).zip(&nodes);
+            for (number, ((&irradiance, &blur), &(offset, weight))) in samples.enumerate() {
                 if irradiance == 0.0 {
                     continue;
                 }
-                let sample = Sample {
-                    pixel,
-                    number,
-                    irradiance: irradiance * weight,
-                    shares: self.shares(blur as f64),
-                };
-                for ((layer, share), value) in sample.shares.into_iter().zip(values(&sample)) {
+                let value = field(&Sample { pixel, number }) * (irradiance * weight).sqrt();
+                for (layer, share) in self.shares(blur as f64) {
                     if share > 0.0 {
-                        layers[layer].push((first + offset, value));
+                        layers[layer].push((first + offset, value * share));
                     }
                 }
             }
@@ -456,60 +397,92 @@ impl Tile {
 
     /// Samples along the columns and rows of its grid.
     fn grid(&self) -> [usize; 2] {
-        let extent = self.extent();
-        [0, 1].map(|i| extent[i] * self.side[i])
+        self.extent().map(|n| n * self.side)
     }
 
     /// Cycles a pixel of frequencies in cycles a sample.
-    fn per_pixel(&self) -> DVec2 {
-        DVec2::new(self.side[0] as f64, self.side[1] as f64)
+    fn per_pixel(&self) -> f64 {
+        self.side as f64
     }
 
     /// Its mean light behind the lens, in the pixels around it, row by row.
     fn spread(&self, light: &Light) -> Vec<f32> {
         let band = Band::of_real(self.grid(), 2.0 * self.pupil.most() / self.per_pixel());
         let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * self.per_pixel()).collect();
-        let columns = self.grid()[0];
         let mut sum = vec![Complex32::ZERO; band.len()];
-        let mut pairs =
-            vec![Complex32::ZERO; columns * (self.own.rows.len() * self.side[1]).div_ceil(2)];
-        let layers = self.by_layer(light, |sample| {
-            sample.shares.map(|(_, share)| sample.irradiance * share)
-        });
-        for (values, &blur) in layers.iter().zip(&self.layers) {
-            if values.is_empty() {
-                continue;
-            }
-            pairs.fill(Complex32::ZERO);
-            for &(at, value) in values {
-                let (row, column) = (at / columns, at % columns);
-                let pair = &mut pairs[row / 2 * columns + column];
-                match row % 2 {
-                    0 => pair.re += value,
-                    _ => pair.im += value,
-                }
-            }
-            let first = self.margin[1] * self.side[1];
-            let spectrum = Transform::with(|own| own.forward_real(&mut pairs, first, &band));
-            let passes = self.pupil.passes(&frequencies, blur);
+        let first = self.margin[1] * self.side;
+        let passes = self.pupil.passes(&frequencies);
+        for (pairs, &blur) in self.pairs(light).iter_mut().zip(&self.layers) {
+            let spectrum = Transform::with(|own| own.forward_real(pairs, first, &band));
+            let passes = passes.at(blur);
             for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes) {
                 *sum += value * pass;
             }
         }
-        // What went in may be the mean over pixels already, along one side or both.
-        let integrated = self.side.map(|side| light.nodes.side() > side);
-        for (sum, frequency) in sum.iter_mut().zip(&frequencies) {
-            for i in (0..2).filter(|&i| !integrated[i]) {
-                *sum *= sinc(frequency[i]) as f32;
+        // What went in may be the mean over pixels already.
+        if light.nodes.side() == self.side {
+            let [of_columns, of_rows] = band.along().map(|frequencies| {
+                let factor = |frequency: f64| sinc(frequency * self.per_pixel()) as f32;
+                frequencies.into_iter().map(factor).collect::<Vec<f32>>()
+            });
+            for (sum, of_column) in sum.chunks_mut(of_rows.len()).zip(of_columns) {
+                let factors = of_rows.iter().map(|of_row| of_row * of_column);
+                sum.iter_mut()
+                    .zip(factors)
+                    .for_each(|(sum, factor)| *sum *= factor);
             }
         }
         let drawn = Drawn::at(DVec2::ZERO, self.side);
         let pairs = Transform::with(|own| own.backward_real(&sum, &band, &drawn));
-        let rows = pairs.chunks(columns).flat_map(|pair| {
-            let [even, odd] = [|z: &Complex32| z.re, |z: &Complex32| z.im];
-            pair.iter().map(even).chain(pair.iter().map(odd))
-        });
-        rows.take(columns * self.extent()[1]).collect()
+        let mut image = Vec::with_capacity(2 * pairs.len());
+        let [columns, rows] = self.extent();
+        for pair in pairs.chunks(columns) {
+            image.extend(pair.iter().map(|z| z.re));
+            image.extend(pair.iter().map(|z| z.im));
+        }
+        image.truncate(columns * rows);
+        image
+    }
+
+    /// Its own rows of each layer, row 2i and row 2i + 1 as real and imaginary part of row i.
+    fn pairs(&self, light: &Light) -> Vec<Vec<Complex32>> {
+        let [columns, _] = self.grid();
+        let length = columns * (self.own.rows.len() * self.side).div_ceil(2);
+        let mut layers = vec![vec![Complex32::ZERO; length]; self.layers.len()];
+        let mut add = |at: usize, value: f32, shares: &[(usize, f32); 2]| {
+            let (row, column) = (at / columns, at % columns);
+            for &(layer, share) in shares.iter().filter(|(_, share)| *share > 0.0) {
+                let pair = &mut layers[layer][row / 2 * columns + column];
+                match row % 2 {
+                    0 => pair.re += value * share,
+                    _ => pair.im += value * share,
+                }
+            }
+        };
+        let nodes = self.nodes(light);
+        for pixel in &self.lit {
+            let first = self.first(pixel);
+            let (samples, blurs) = (light.samples(pixel.number), light.blur(pixel.number));
+            let is_one = self.layers.len() == 1 || blurs.iter().all(|&blur| blur == blurs[0]);
+            if is_one && self.side == 1 {
+                let weighted = samples
+                    .iter()
+                    .zip(&nodes)
+                    .map(|(e, (_, weight))| e * weight);
+                add(first, weighted.sum(), &self.shares(blurs[0] as f64));
+                continue;
+            }
+            for ((&irradiance, &blur), &(offset, weight)) in samples.iter().zip(blurs).zip(&nodes) {
+                if irradiance > 0.0 {
+                    add(
+                        first + offset,
+                        irradiance * weight,
+                        &self.shares(blur as f64),
+                    );
+                }
+            }
+        }
+        layers
     }
 
     /// The field behind the lens of a surface that has `field` at its samples, of mean square 1 in the
@@ -534,13 +507,8 @@ impl Tile {
         let scale = (self.pupil.cells(cell) / open).sqrt() as f32;
         let columns = self.grid()[0];
         let mut sum = vec![Complex32::ZERO; band.len()];
-        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * self.side[1]];
-        let layers = self.by_layer(light, |sample| {
-            let (field, root) = (field(sample), sample.irradiance.sqrt());
-            sample
-                .shares
-                .map(|(_, share)| field * (root * share * scale))
-        });
+        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * self.side];
+        let layers = self.by_layer(light, |sample| field(sample) * scale);
         for (values, &blur) in layers.iter().zip(&self.layers) {
             if values.is_empty() {
                 continue;
@@ -549,7 +517,7 @@ impl Tile {
             for &(at, value) in values {
                 rows[at] += value;
             }
-            let first = self.margin[1] * self.side[1];
+            let first = self.margin[1] * self.side;
             let spectrum = Transform::with(|own| own.forward(&mut rows, first, &band));
             let turn = std::f32::consts::PI * blur as f32;
             for ((sum, value), &(share, phase)) in sum.iter_mut().zip(spectrum).zip(&openings) {
@@ -564,6 +532,9 @@ impl Tile {
 /// What each pixel sees where speckle asks for it: what the nearest lit pixel of the
 /// column sees, or of the nearest column that has one; its light is spread there.
 fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
+    if light.surface.is_empty() {
+        return Vec::new();
+    }
     let mut lit = vec![Vec::new(); light.rows.pixels.columns];
     for row in 0..light.rows.pixels.rows {
         let pixels = light.rows.pixels.of(row).zip(light.rows.start(row)..);

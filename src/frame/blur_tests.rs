@@ -181,8 +181,11 @@ fn across(columns: impl IntoIterator<Item = usize>) -> Vec<DVec2> {
     columns.into_iter().flat_map(rows).collect()
 }
 
-/// Across the line, far from the step, at it and beside it, the light is the oracle's, from samples along
-/// rows and from means over pixels. What differs: layers
+/// By what light of pixels' means is off beside its end; see [`defocus::grid`].
+const END: f64 = 0.046;
+
+/// Across the line, far from the step, at it and beside it, the light is the oracle's, from samples and, but in
+/// the column beside the step, from means over pixels. What differs: layers
 /// are steps of ½ in β apart and tiles take one pupil; tails beyond ten grains come in again:
 /// together below half a percent of the line's peak.
 #[test]
@@ -205,8 +208,12 @@ fn light_is_spread_as_by_the_pupils_field() {
             let light = found_and_expected(view, &pixels);
             let peak = light.iter().map(|light| light[1]).fold(0.0, f64::max);
             for (place, [found, expected]) in pixels.iter().zip(light) {
+                let of_end = match grid == of_pixels && place.x == 400.5 {
+                    true => END,
+                    false => 0.0,
+                };
                 assert!(
-                    (found - expected).abs() < 5e-3 * peak,
+                    (found - expected).abs() < (of_end + 5e-3) * peak,
                     "{step} {focus} {grid:?} {place}: {found} {expected} of {peak}"
                 );
             }
@@ -233,7 +240,7 @@ fn light_that_ends_within_a_pixel_is_spread_nearly_as_well() {
             let peak = light.iter().map(|light| light[1]).fold(0.0, f64::max);
             for (place, [found, expected]) in pixels.iter().zip(light) {
                 assert!(
-                    (found - expected).abs() < (0.046 + 5e-3) * peak,
+                    (found - expected).abs() < (END + 5e-3) * peak,
                     "f/{f_number} {place}: {found} {expected} of {peak}"
                 );
             }

@@ -111,6 +111,11 @@ impl Pixels {
         ones(self.row(row)[block]).map(move |bit| BLOCK * block + bit)
     }
 
+    /// Whether it has the pixel in this row and column; there may be no such column.
+    pub fn contains(&self, row: usize, column: usize) -> bool {
+        column < self.columns && self.row(row)[column / BLOCK] >> (column % BLOCK) & 1 == 1
+    }
+
     /// Bands of rows that tiles are as high as; the last may be lower.
     pub fn bands(&self) -> usize {
         self.rows.div_ceil(SIDE)

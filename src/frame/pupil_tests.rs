@@ -121,7 +121,7 @@ fn passes_are_transfers() {
             by_table += i32::from(tabulated);
             summed += i32::from(!tabulated);
             let bound = if tabulated { 1e-3 } else { 5e-5 };
-            let passes = pupil.passes(&frequencies, blur);
+            let passes = pupil.passes(&frequencies).at(blur);
             for (&frequency, pass) in frequencies.iter().zip(passes) {
                 let expected = transfer(&pupil, frequency, blur);
                 assert!(

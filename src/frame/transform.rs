@@ -61,6 +61,15 @@ impl Band {
         })
     }
 
+    /// The same along columns and along rows.
+    pub fn along(&self) -> [Vec<f64>; 2] {
+        let of = |numbers: &[usize], n: usize| numbers.iter().map(|&i| signed(i, n)).collect();
+        [
+            of(&self.columns, self.size[0]),
+            of(&self.rows, self.size[1]),
+        ]
+    }
+
     /// How many they are.
     pub fn len(&self) -> usize {
         self.columns.len() * self.rows.len()
@@ -69,16 +78,16 @@ impl Band {
 
 /// An image that is drawn from a spectrum: one value of each pixel.
 pub(super) struct Drawn {
-    /// Samples of a pixel along the columns and along the rows.
-    side: [usize; 2],
+    /// Samples along the side of a pixel.
+    side: usize,
     /// Where, in samples from the pixel's first, along the columns and along the rows.
     place: [f64; 2],
 }
 
 impl Drawn {
     /// At a place in pixels from the pixel's centre, (column, row).
-    pub fn at(place: DVec2, side: [usize; 2]) -> Drawn {
-        let along = |i: usize| (place[i] + 0.5) * side[i] as f64 - 0.5;
+    pub fn at(place: DVec2, side: usize) -> Drawn {
+        let along = |i: usize| (place[i] + 0.5) * side as f64 - 0.5;
         Drawn {
             side,
             place: [along(0), along(1)],
@@ -188,23 +197,17 @@ impl Transform {
                 }
             }
         });
-        self.each(
-            &mut image,
-            band.size[0] / drawn.side[0],
-            FftDirection::Inverse,
-        );
+        self.each(&mut image, band.size[0] / drawn.side, FftDirection::Inverse);
         image
     }
 
-    /// The same of a real image that has one sample a pixel along the columns: as pairs of rows, see
-    /// [`Transform::forward_real`].
+    /// The same of a real image: as pairs of rows, see [`Transform::forward_real`].
     pub fn backward_real(
         &mut self,
         spectrum: &[Complex32],
         band: &Band,
         drawn: &Drawn,
     ) -> Vec<Complex32> {
-        debug_assert_eq!(drawn.side[0], 1);
         let mut image = Vec::new();
         self.up(spectrum, band, drawn, |by_column, [width, height]| {
             image = vec![Complex32::ZERO; width * height.div_ceil(2)];
@@ -214,17 +217,19 @@ impl Transform {
                         let column = &from[i * height..][..height];
                         let here = column[2 * y];
                         let next = column.get(2 * y + 1).copied().unwrap_or_default();
-                        if 2 * x % width == 0 {
-                            pair[x] = Complex32::new(here.re, next.re);
+                        if (2 * x).is_multiple_of(band.size[0]) {
+                            pair[x % width] += Complex32::new(here.re, next.re);
                         } else {
-                            pair[x] = Complex32::new(here.re - next.im, here.im + next.re);
-                            pair[width - x] = Complex32::new(here.re + next.im, next.re - here.im);
+                            let mirrored = (band.size[0] - x) % width;
+                            pair[x % width] += here + next * Complex32::I;
+                            pair[mirrored] += here.conj() + next.conj() * Complex32::I;
                         }
                     }
                 }
             }
         });
-        self.each(&mut image, band.size[0], FftDirection::Inverse);
+        let width = band.size[0] / drawn.side;
+        self.each(&mut image, width, FftDirection::Inverse);
         image
     }
 
@@ -236,7 +241,7 @@ impl Transform {
         drawn: &Drawn,
         take: impl FnOnce(&[Complex32], [usize; 2]),
     ) {
-        let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side[i]);
+        let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side);
         let turn = |i: usize, n: usize, by: f64| {
             let (sin, cos) = (TAU * signed(i, n) * by).sin_cos();
             // Half a cycle a sample is that on both sides of zero, which turn either way.
@@ -298,7 +303,7 @@ mod tests {
         }
         // In the middle between two samples each, and a quarter of a pixel further on.
         for by in [0.0, 0.25] {
-            let drawn = Drawn::at(DVec2::X * by, [2, 2]);
+            let drawn = Drawn::at(DVec2::X * by, 2);
             let half = Transform::with(|transform| transform.backward(&there, &band, &drawn));
             for (i, value) in half.iter().enumerate() {
                 let (x, y) = ((2 * (i % 9)) as f64, (2 * (i / 9)) as f64 + 0.5);
@@ -326,7 +331,7 @@ mod tests {
             ]
         });
         assert_eq!(some, whole);
-        let drawn = Drawn::at(DVec2::ZERO, [1, 1]);
+        let drawn = Drawn::at(DVec2::ZERO, 1);
         let back = Transform::with(|transform| transform.backward(&some, &band, &drawn));
         for (back, image) in back.iter().zip(image) {
             assert!((back - image).norm() < 1e-5);
@@ -360,8 +365,9 @@ mod tests {
                 // Rounding of some hundred terms up to 14.
                 assert!((value - all[at]).norm() < 1e-2, "{size:?} {frequency}");
             }
-            for side in (1..=3).filter(|side| size[1].is_multiple_of(*side)) {
-                let drawn = Drawn::at(DVec2::ZERO, [1, side]);
+            for side in (1..=3).filter(|side| size.iter().all(|n| n.is_multiple_of(*side))) {
+                let drawn = Drawn::at(DVec2::ZERO, side);
+                let width = size[0] / side;
                 let [pairs, image] = Transform::with(|transform| {
                     [
                         transform.backward_real(&some, &half, &drawn),
@@ -369,8 +375,8 @@ mod tests {
                     ]
                 });
                 for (i, value) in image.iter().enumerate() {
-                    let (x, y) = (i % size[0], i / size[0]);
-                    let pair = pairs[y / 2 * size[0] + x];
+                    let (x, y) = (i % width, i / width);
+                    let pair = pairs[y / 2 * width + x];
                     let found = if y % 2 == 0 { pair.re } else { pair.im };
                     assert!((found - value.re).abs() < 1e-4, "{size:?} {side} {x} {y}");
                 }
