@@ -19,8 +19,7 @@ use super::transform::{Band, Drawn, Transform, fast_length};
 use crate::math::{DVec2, sinc};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
-use std::ops::Range;
-use wide::f32x8;
+use std::ops::{AddAssign, Range};
 
 /// Steps of β at which light is spread: so far between two, the mean of both is as much wider as 1/64
 /// of a grain's square; and fields, whose phase at the pupil's rim differs by π/8, lose 0.2 % in
@@ -63,41 +62,37 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
     }
 }
 
-/// The mean of the light behind the lens, at the places at which speckle is read.
+/// The mean of the light behind the lens over each pixel.
 fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
-    let image = [Drawn::at(0.0, 0.0, light.nodes.transformed())];
     let means = |light: &Light| {
-        let spread = |tile: &Tile| tile.spread(light, &image);
+        let spread = |tile: &Tile| [tile.spread(light)];
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         let mut means = vec![0.0; rows.total()];
         sum_of(tiles, &parts, &rows, &mut means, |sums, mean| {
-            mean[0] = sums[0].re.max(0.0);
+            mean[0] = sums[0].max(0.0);
         });
         means
     };
     let all = means(&light);
+    let nodes = Nodes::new(Grid::Even { per_side: 1 });
     if view.speckle.is_none() {
-        let nodes = Nodes::new(Grid::Even { per_side: 1 });
         return Light::spread(rows, nodes, all, Vec::new());
     }
     let seen = seen_nearest(&light, &rows, beyond);
-    let nodes = Nodes::new(view.grid);
-    let irradiance = within_pixels(&all, &rows, &nodes);
     let mut polarised = Vec::new();
     if !light.polarised.is_empty() {
         // The lens spreads what is polarised with the rest.
         let each = light.irradiance.iter_mut().zip(&light.polarised);
         each.for_each(|(irradiance, polarised)| *irradiance *= polarised);
         let degrees = means(&light).into_iter().zip(&all);
-        let count = nodes.places().len();
-        polarised.extend(degrees.flat_map(|(kept, &all)| {
+        polarised.extend(degrees.map(|(kept, &all)| {
             let degree = (kept / all).clamp(0.0, 1.0);
-            std::iter::repeat_n(if degree.is_nan() { 0.0 } else { degree }, count)
+            if degree.is_nan() { 0.0 } else { degree }
         }));
     }
     Light {
         polarised,
-        ..Light::spread(rows, nodes, irradiance, seen)
+        ..Light::spread(rows, nodes, all, seen)
     }
 }
 
@@ -114,7 +109,7 @@ fn field_behind(
     let images: Vec<Drawn> = nodes
         .places()
         .iter()
-        .map(|node| Drawn::at(node.x, node.y, side))
+        .map(|&node| Drawn::at(node, side))
         .collect();
     let camera_from_laser = view.part_from_camera.inverse() * view.part_from_laser;
     let reader = Reader::new(speckle, view.camera, camera_from_laser);
@@ -122,8 +117,14 @@ fn field_behind(
     let mut irradiance = vec![0.0; nodes.places().len() * rows.total()];
     for (pattern, weight) in reader.weights().into_iter().enumerate() {
         let field = |sample: &Sample| {
-            let amplitude = reader.amplitude(pattern, sample.place, sample.seen);
-            amplitude * wider * power(pattern, sample.polarised).sqrt()
+            let pixel = sample.pixel;
+            let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
+            let place = centre + light.nodes.places()[sample.number];
+            let seen = light.seen(pixel.number).get(sample.number);
+            let amplitude = reader.amplitude(pattern, place, seen.copied().unwrap_or_default());
+            let polarised = light.polarised(pixel.number).get(sample.number);
+            let power = power(pattern, polarised.copied().unwrap_or(0.0));
+            amplitude * wider * power.sqrt()
         };
         let spread = |tile: &Tile| tile.spread_field(light, &images, field);
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
@@ -136,67 +137,16 @@ fn field_behind(
     Light::spread(rows, nodes, irradiance, Vec::new())
 }
 
-/// Light at the nodes of each pixel, for speckle to be multiplied into: from the means over it and
-/// its neighbours as if it were a parabola along either side.
-fn within_pixels(means: &[f32], rows: &Rows, nodes: &Nodes) -> Vec<f32> {
-    let count = nodes.places().len();
-    let mut light = vec![0.0; count * means.len()];
-    let mut left = &mut light[..];
-    let mut tasks = Vec::new();
-    for row in 0..rows.pixels.rows {
-        let mine;
-        (mine, left) = left.split_at_mut(count * rows.range(row).len());
-        if !mine.is_empty() {
-            tasks.push((row, mine));
-        }
-    }
-    let places: Vec<[f32; 2]> = (nodes.places().iter())
-        .map(|place| [place.x as f32, place.y as f32])
-        .collect();
-    let columns = rows.pixels.columns;
-    // One more at each end.
-    let new = || [(); 3].map(|()| vec![0.0f32; columns + 2]);
-    tasks
-        .into_par_iter()
-        .for_each_init(new, |near, (row, light)| {
-            for (near, row) in near.iter_mut().zip([row.wrapping_sub(1), row, row + 1]) {
-                near.fill(0.0);
-                if row < rows.pixels.rows {
-                    for (column, mean) in rows.pixels.of(row).zip(&means[rows.range(row)]) {
-                        near[column + 1] = *mean;
-                    }
-                }
-            }
-            let of_pixels = light.chunks_exact_mut(count);
-            for (column, light) in rows.pixels.of(row).zip(of_pixels) {
-                let mean = near[1][column + 1];
-                let beside = [
-                    [near[1][column], near[1][column + 2]],
-                    [near[0][column + 1], near[2][column + 1]],
-                ];
-                let slopes = beside.map(|[before, after]| (after - before) / 2.0);
-                let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
-                for (light, place) in light.iter_mut().zip(&places) {
-                    let along = |i: usize| {
-                        slopes[i] * place[i] + bends[i] * (place[i] * place[i] - 1.0 / 12.0)
-                    };
-                    *light = (mean + along(0) + along(1)).max(0.0);
-                }
-            }
-        });
-    light
-}
-
 /// Adds up the images in the tiles' `parts`; `take` gets the sums of all images in each pixel of `rows`,
 /// and where its values go.
-fn sum_of(
+fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
     tiles: &[Tile],
-    parts: &[Vec<Vec<Complex32>>],
+    parts: &[impl AsRef<[Vec<T>]> + Sync],
     rows: &Rows,
     values: &mut [f32],
-    take: impl Fn(&[Complex32], &mut [f32]) + Sync,
+    take: impl Fn(&[T], &mut [f32]) + Sync,
 ) {
-    let Some(images) = parts.first().map(Vec::len) else {
+    let Some(images) = parts.first().map(|images| images.as_ref().len()) else {
         return;
     };
     let count = values.len() / rows.total().max(1);
@@ -209,11 +159,11 @@ fn sum_of(
             tasks.push((row, mine));
         }
     }
-    let new = || vec![Complex32::ZERO; images * rows.pixels.columns];
+    let new = || vec![T::default(); images * rows.pixels.columns];
     tasks
         .into_par_iter()
         .for_each_init(new, |sums, (row, values)| {
-            sums.fill(Complex32::ZERO);
+            sums.fill(T::default());
             for (tile, part) in tiles.iter().zip(parts) {
                 let all = tile.around();
                 let around = all.within(&rows.pixels);
@@ -222,11 +172,11 @@ fn sum_of(
                 }
                 let first = (row as isize - all.rows.start) as usize * all.columns.len();
                 let skipped = (around.columns.start - all.columns.start) as usize;
-                let onto = sums.chunks_mut(images).skip(around.columns.start as usize);
-                for (i, sums) in onto.take(around.columns.len()).enumerate() {
-                    for (sum, image) in sums.iter_mut().zip(part) {
-                        *sum += image[first + skipped + i];
-                    }
+                let onto = &mut sums[images * around.columns.start as usize..];
+                for (i, image) in part.as_ref().iter().enumerate() {
+                    let values = &image[first + skipped..][..around.columns.len()];
+                    let sums = onto[i..].iter_mut().step_by(images);
+                    sums.zip(values).for_each(|(sum, &value)| *sum += value);
                 }
             }
             let of_pixels = values.chunks_exact_mut(count);
@@ -269,24 +219,19 @@ struct Tile {
     own: Rectangle,
     /// How far their light goes, pixels.
     margin: [usize; 2],
+    /// Samples along the side of a pixel that are transformed.
+    side: usize,
     pupil: Pupil,
     lit: Vec<Pixel>,
     /// β at which light is spread, evenly from the least to the greatest.
     layers: Vec<f64>,
 }
 
-/// A lit sample in a layer.
-struct Sample {
-    /// Its number in the tile's own rows of the grid.
-    at: usize,
-    /// On the sensor, pixels.
-    place: DVec2,
-    seen: Seen,
-    irradiance: f32,
-    /// Degree of polarisation, where the light has several; else 0.
-    polarised: f32,
-    /// The layer's share of it.
-    share: f32,
+/// A lit sample.
+struct Sample<'a> {
+    pixel: &'a Pixel,
+    /// Which of the pixel's it is.
+    number: usize,
 }
 
 /// Least and greatest β of a pixel's lit samples.
@@ -314,6 +259,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
         }
     }
     let wavelength = view.laser.beam.wavelength;
+    let side = light.nodes.transformed();
     let step = match view.lens.blur {
         Blur::Coherent => STEP / 2.0,
         _ => STEP,
@@ -351,6 +297,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                     rows: first..end + 1,
                 },
                 margin,
+                side,
                 pupil,
                 lit: own.iter().map(|(pixel, _)| *pixel).collect(),
                 layers: match steps <= 1.0 {
@@ -388,49 +335,59 @@ impl Tile {
         }
     }
 
-    /// Layers that light of this β is shared by, and the second's share.
-    fn shares(&self, blur: f64) -> (usize, f64) {
+    /// Layers that light of this β is shared by, and their shares.
+    fn shares(&self, blur: f64) -> [(usize, f32); 2] {
         let last = self.layers.len() - 1;
         if last == 0 {
-            return (0, 0.0);
+            return [(0, 1.0), (0, 0.0)];
         }
         let step = (self.layers[last] - self.layers[0]) / last as f64;
         let at = ((blur - self.layers[0]) / step).clamp(0.0, last as f64);
         let first = (at as usize).min(last - 1);
-        (first, at - first as f64)
+        let second = at - first as f64;
+        [(first, (1.0 - second) as f32), (first + 1, second as f32)]
     }
 
-    /// Its lit samples, by layers.
-    fn samples(&self, light: &Light) -> Vec<Vec<Sample>> {
-        let side = light.nodes.transformed();
-        let in_pixel = light.nodes.side() / side;
-        let columns = self.extent()[0] * side;
-        let mut layers: Vec<Vec<Sample>> = self.layers.iter().map(|_| Vec::new()).collect();
+    /// Of each sample of a pixel how much further on than the pixel's first it is transformed, and its weight in the
+    /// mean over what is transformed as one.
+    fn nodes(&self, light: &Light) -> Vec<(usize, f32)> {
+        let in_sample = light.nodes.side() / self.side;
+        let columns = self.grid()[0];
+        let node = |(i, weight): (usize, &f32)| {
+            let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
+            let offset = y / in_sample * columns + x / in_sample;
+            (offset, weight * (self.side * self.side) as f32)
+        };
+        light.nodes.weights().iter().enumerate().map(node).collect()
+    }
+
+    /// Where a pixel's first sample is in the tile's own rows.
+    fn first(&self, pixel: &Pixel) -> usize {
+        let column = (pixel.column - self.own.columns.start) as usize + self.margin[0];
+        let row = (pixel.row - self.own.rows.start) as usize;
+        self.side * (row * self.grid()[0] + column)
+    }
+
+    /// What lit samples put into each layer as a field: theirs, and where.
+    fn by_layer(
+        &self,
+        light: &Light,
+        field: impl Fn(&Sample) -> Complex32,
+    ) -> Vec<Vec<(usize, Complex32)>> {
+        let mut layers: Vec<Vec<(usize, Complex32)>> = vec![Vec::new(); self.layers.len()];
+        let nodes = self.nodes(light);
         for pixel in &self.lit {
-            let column = side * ((pixel.column - self.own.columns.start) as usize + self.margin[0]);
-            let row = side * (pixel.row - self.own.rows.start) as usize;
-            let centre = DVec2::new(pixel.column as f64, pixel.row as f64) + 0.5;
-            let samples = light
-                .samples(pixel.number)
-                .iter()
-                .zip(light.blur(pixel.number));
-            let weights = light.nodes.weights();
-            for (i, ((&irradiance, &blur), weight)) in samples.zip(weights).enumerate() {
-                if irradiance > 0.0 {
-                    let (first, second) = self.shares(blur as f64);
-                    let (x, y) = (i % light.nodes.side(), i / light.nodes.side());
-                    let sample = |share: f64| Sample {
-                        at: (row + y / in_pixel) * columns + column + x / in_pixel,
-                        place: centre + light.nodes.places()[i],
-                        seen: (light.seen(pixel.number).get(i).copied()).unwrap_or_default(),
-                        // The mean over what is transformed as one.
-                        irradiance: irradiance * weight * (side * side) as f32,
-                        polarised: (light.polarised(pixel.number).get(i).copied()).unwrap_or(0.0),
-                        share: share as f32,
-                    };
-                    layers[first].push(sample(1.0 - second));
-                    if second > 0.0 {
-                        layers[first + 1].push(sample(second));
+            let first = self.first(pixel);
+            let samples = light.samples(pixel.number).iter();
+            let samples = samples.zip(light.blur(pixel.number)).zip(&nodes);
+            for (number, ((&irradiance, &blur), &(offset, weight))) in samples.enumerate() {
+                if irradiance == 0.0 {
+                    continue;
+                }
+                let value = field(&Sample { pixel, number }) * (irradiance * weight).sqrt();
+                for (layer, share) in self.shares(blur as f64) {
+                    if share > 0.0 {
+                        layers[layer].push((first + offset, value * share));
                     }
                 }
             }
@@ -438,79 +395,94 @@ impl Tile {
         layers
     }
 
-    /// What a lens makes of its samples, in `images` of its grid's pixels: `value` is what of each sample
-    /// goes in, `passes` what comes out of each frequency of the `band` at a β.
-    fn through_lens(
-        &self,
-        light: &Light,
-        band: &Band,
-        images: &[Drawn],
-        value: impl Fn(&Sample) -> Complex32,
-        passes: impl Fn(f64) -> Vec<Complex32>,
-    ) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
-        let columns = self.extent()[0] * side;
+    /// Samples along the columns and rows of its grid.
+    fn grid(&self) -> [usize; 2] {
+        self.extent().map(|n| n * self.side)
+    }
+
+    /// Cycles a pixel of frequencies in cycles a sample.
+    fn per_pixel(&self) -> f64 {
+        self.side as f64
+    }
+
+    /// Its mean light behind the lens, in the pixels around it, row by row.
+    fn spread(&self, light: &Light) -> Vec<f32> {
+        let band = Band::of_real(self.grid(), 2.0 * self.pupil.most() / self.per_pixel());
+        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * self.per_pixel()).collect();
         let mut sum = vec![Complex32::ZERO; band.len()];
-        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * side];
-        for (samples, &blur) in self.samples(light).iter().zip(&self.layers) {
-            if samples.is_empty() {
-                continue;
-            }
-            rows.fill(Complex32::ZERO);
-            for sample in samples {
-                rows[sample.at] += value(sample);
-            }
-            let first = self.margin[1] * side;
-            let spectrum = Transform::with(|own| own.forward(&mut rows, first, band));
-            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes(blur)) {
+        let first = self.margin[1] * self.side;
+        let passes = self.pupil.passes(&frequencies);
+        for (pairs, &blur) in self.pairs(light).iter_mut().zip(&self.layers) {
+            let spectrum = Transform::with(|own| own.forward_real(pairs, first, &band));
+            let passes = passes.at(blur);
+            for ((sum, value), pass) in sum.iter_mut().zip(spectrum).zip(passes) {
                 *sum += value * pass;
             }
         }
-        let image = |drawn| Transform::with(|own| own.backward(&sum, band, drawn));
-        images.iter().map(image).collect()
+        // What went in may be the mean over pixels already.
+        if light.nodes.side() == self.side {
+            let [of_columns, of_rows] = band.along().map(|frequencies| {
+                let factor = |frequency: f64| sinc(frequency * self.per_pixel()) as f32;
+                frequencies.into_iter().map(factor).collect::<Vec<f32>>()
+            });
+            for (sum, of_column) in sum.chunks_mut(of_rows.len()).zip(of_columns) {
+                let factors = of_rows.iter().map(|of_row| of_row * of_column);
+                sum.iter_mut()
+                    .zip(factors)
+                    .for_each(|(sum, factor)| *sum *= factor);
+            }
+        }
+        let drawn = Drawn::at(DVec2::ZERO, self.side);
+        let pairs = Transform::with(|own| own.backward_real(&sum, &band, &drawn));
+        let mut image = Vec::with_capacity(2 * pairs.len());
+        let [columns, rows] = self.extent();
+        for pair in pairs.chunks(columns) {
+            image.extend(pair.iter().map(|z| z.re));
+            image.extend(pair.iter().map(|z| z.im));
+        }
+        image.truncate(columns * rows);
+        image
     }
 
-    /// The frequencies up to these (cycles a pixel) on its grid of so many samples along a pixel's
-    /// side.
-    fn band(&self, most: DVec2, side: usize) -> Band {
-        Band::new(self.extent().map(|n| n * side), most / side as f64)
-    }
-
-    /// Its mean light behind the lens, real, over pixels where samples are.
-    fn spread(&self, light: &Light, images: &[Drawn]) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
-        let band = self.band(2.0 * self.pupil.most(), side);
-        // What goes in may be the mean over pixels already.
-        let integrated = light.nodes.side() > side;
-        let value = |sample: &Sample| (sample.irradiance * sample.share).into();
-        let frequencies: Vec<DVec2> = band.frequencies().map(|f| f * side as f64).collect();
-        let passes = |blur: f64| {
-            let rule = Pupil::rule(blur);
-            let mut passes = vec![Complex32::ZERO; frequencies.len()];
-            // The transfer is the same on both sides of zero.
-            let half: Vec<usize> = (0..band.len()).filter(|&i| i <= band.mirrored(i)).collect();
-            for eight in half.chunks(8) {
-                let of = |axis: usize| {
-                    let mut lanes = [0.0; 8];
-                    for (lane, &i) in lanes.iter_mut().zip(eight) {
-                        *lane = frequencies[i][axis] as f32;
-                    }
-                    f32x8::from(lanes)
-                };
-                let values = self.pupil.transfers([of(0), of(1)], blur, &rule);
-                for (&i, value) in eight.iter().zip(values.to_array()) {
-                    let mean = match integrated {
-                        true => 1.0,
-                        false => sinc(frequencies[i].x) * sinc(frequencies[i].y),
-                    };
-                    let pass = value * mean as f32;
-                    passes[i] = pass.into();
-                    passes[band.mirrored(i)] = pass.into();
+    /// Its own rows of each layer, row 2i and row 2i + 1 as real and imaginary part of row i.
+    fn pairs(&self, light: &Light) -> Vec<Vec<Complex32>> {
+        let [columns, _] = self.grid();
+        let length = columns * (self.own.rows.len() * self.side).div_ceil(2);
+        let mut layers = vec![vec![Complex32::ZERO; length]; self.layers.len()];
+        let mut add = |at: usize, value: f32, shares: &[(usize, f32); 2]| {
+            let (row, column) = (at / columns, at % columns);
+            for &(layer, share) in shares.iter().filter(|(_, share)| *share > 0.0) {
+                let pair = &mut layers[layer][row / 2 * columns + column];
+                match row % 2 {
+                    0 => pair.re += value * share,
+                    _ => pair.im += value * share,
                 }
             }
-            passes
         };
-        self.through_lens(light, &band, images, value, passes)
+        let nodes = self.nodes(light);
+        for pixel in &self.lit {
+            let first = self.first(pixel);
+            let (samples, blurs) = (light.samples(pixel.number), light.blur(pixel.number));
+            let is_one = self.layers.len() == 1 || blurs.iter().all(|&blur| blur == blurs[0]);
+            if is_one && self.side == 1 {
+                let weighted = samples
+                    .iter()
+                    .zip(&nodes)
+                    .map(|(e, (_, weight))| e * weight);
+                add(first, weighted.sum(), &self.shares(blurs[0] as f64));
+                continue;
+            }
+            for ((&irradiance, &blur), &(offset, weight)) in samples.iter().zip(blurs).zip(&nodes) {
+                if irradiance > 0.0 {
+                    add(
+                        first + offset,
+                        irradiance * weight,
+                        &self.shares(blur as f64),
+                    );
+                }
+            }
+        }
+        layers
     }
 
     /// The field behind the lens of a surface that has `field` at its samples, of mean square 1 in the
@@ -521,12 +493,11 @@ impl Tile {
         images: &[Drawn],
         field: impl Fn(&Sample) -> Complex32,
     ) -> Vec<Vec<Complex32>> {
-        let side = light.nodes.transformed();
         let cell = DVec2::from(self.extent().map(|n| 1.0 / n as f64));
-        let band = self.band(self.pupil.most() + cell, side);
+        let band = Band::new(self.grid(), (self.pupil.most() + cell) / self.per_pixel());
         let openings: Vec<(f32, f32)> = band
             .frequencies()
-            .map(|frequency| self.pupil.opening(frequency * side as f64, cell))
+            .map(|frequency| self.pupil.opening(frequency * self.per_pixel(), cell))
             .collect();
         // Cells at the rim are open by a share, of whose light that share's square comes through.
         let open: f64 = openings
@@ -534,20 +505,36 @@ impl Tile {
             .map(|&(share, _)| (share * share) as f64)
             .sum();
         let scale = (self.pupil.cells(cell) / open).sqrt() as f32;
-        let value =
-            |sample: &Sample| field(sample) * (sample.irradiance.sqrt() * sample.share * scale);
-        let passes = |blur: f64| {
+        let columns = self.grid()[0];
+        let mut sum = vec![Complex32::ZERO; band.len()];
+        let mut rows = vec![Complex32::ZERO; columns * self.own.rows.len() * self.side];
+        let layers = self.by_layer(light, |sample| field(sample) * scale);
+        for (values, &blur) in layers.iter().zip(&self.layers) {
+            if values.is_empty() {
+                continue;
+            }
+            rows.fill(Complex32::ZERO);
+            for &(at, value) in values {
+                rows[at] += value;
+            }
+            let first = self.margin[1] * self.side;
+            let spectrum = Transform::with(|own| own.forward(&mut rows, first, &band));
             let turn = std::f32::consts::PI * blur as f32;
-            let pass = |&(share, phase): &(f32, f32)| Complex32::from_polar(share, turn * phase);
-            openings.iter().map(pass).collect()
-        };
-        self.through_lens(light, &band, images, value, passes)
+            for ((sum, value), &(share, phase)) in sum.iter_mut().zip(spectrum).zip(&openings) {
+                *sum += value * Complex32::from_polar(share, turn * phase);
+            }
+        }
+        let image = |drawn| Transform::with(|own| own.backward(&sum, &band, drawn));
+        images.iter().map(image).collect()
     }
 }
 
 /// What each pixel sees where speckle asks for it: what the nearest lit pixel of the
 /// column sees, or of the nearest column that has one; its light is spread there.
 fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
+    if light.surface.is_empty() {
+        return Vec::new();
+    }
     let mut lit = vec![Vec::new(); light.rows.pixels.columns];
     for row in 0..light.rows.pixels.rows {
         let pixels = light.rows.pixels.of(row).zip(light.rows.start(row)..);
@@ -559,25 +546,28 @@ fn seen_nearest(light: &Light, rows: &Rows, beyond: usize) -> Vec<Seen> {
             }
         }
     }
+    // Of each column the nearest that has light, and which of its pixels is the nearest so far.
     let with_light: Vec<usize> = (0..lit.len()).filter(|&c| !lit[c].is_empty()).collect();
     if with_light.is_empty() {
         return Vec::new();
     }
+    let nearest = |column: usize| {
+        let after = with_light.partition_point(|&c| c < column);
+        let beside = with_light[after.saturating_sub(1)..].iter().take(2);
+        let nearest = beside.min_by_key(|c| c.abs_diff(column));
+        (*nearest.expect("one is lit"), 0)
+    };
+    let mut nearest: Vec<(usize, usize)> = (0..lit.len()).map(nearest).collect();
     let mut seen = Vec::with_capacity(rows.total());
     for row in 0..rows.pixels.rows {
-        for column in rows.pixels.of(row).map(|column| column + beyond) {
-            let after = with_light.partition_point(|&c| c < column);
-            let beside = with_light[after.saturating_sub(1)..].iter().take(2);
-            let nearest = beside
-                .min_by_key(|c| c.abs_diff(column))
-                .expect("one is lit");
-            let lit = &lit[*nearest];
-            let after = lit.partition_point(|&(r, _)| r < row + beyond);
-            let beside = lit[after.saturating_sub(1)..].iter().take(2);
-            let (_, what) = beside
-                .min_by_key(|(r, _)| r.abs_diff(row + beyond))
-                .expect("one is lit");
-            seen.push(*what);
+        for column in rows.pixels.of(row) {
+            let (of, at) = &mut nearest[column + beyond];
+            let lit = &lit[*of];
+            let off = |at: usize| lit[at].0.abs_diff(row + beyond);
+            while *at + 1 < lit.len() && off(*at + 1) < off(*at) {
+                *at += 1;
+            }
+            seen.push(lit[*at].1);
         }
     }
     seen

@@ -94,7 +94,10 @@ pub(super) fn spread_into(columns: &Range<usize>, reach: usize) -> Range<usize> 
 const MOST: f64 = 16.0;
 
 /// Where in a pixel light is sampled before the lens spreads it: so finely that what the pupil lets pass is
-/// not mixed with finer parts of it. Where pixels alone are as fine, they are integrated.
+/// not mixed with finer parts of it. Where pixels alone are as fine, they are integrated: light that ends within
+/// a pixel is then off by at most 4.6 % of it in the pixels beside that edge, 1.7 % in the next, and 0.4 % further on (a half-plane
+/// under Airy's pattern of any size, whose transfer differs most between f and 1 − f cycles a pixel where grains
+/// are 0.7).
 pub(super) fn grid(view: &View) -> Grid {
     let Grid::Gauss { per_side } = view.grid else {
         return view.grid;
@@ -105,7 +108,7 @@ pub(super) fn grid(view: &View) -> Grid {
     let of_line = (SAMPLES / view.lens.line_sigma).ceil().min(MOST) as u32;
     match view.lens.blur {
         Blur::None => view.grid,
-        Blur::Mean => match of_line.max(of_lens(view)) {
+        Blur::Mean => match of_line {
             1 => view.grid,
             least => Grid::Even {
                 per_side: of_pixels.max(least),
@@ -133,12 +136,6 @@ pub(super) fn grid_behind(view: &View) -> Grid {
         },
         even => even,
     }
-}
-
-/// Samples along a side that edges in the light need: of grains of 1.5 pixels a twentieth of half a cycle a
-/// pixel is left in pixels' means, and of any lens nothing of a cycle.
-fn of_lens(view: &View) -> u32 {
-    if smallest_grain(view) < 1.5 { 2 } else { 1 }
 }
 
 /// Of the sensor's corners, pixels.

@@ -11,6 +11,7 @@ mod bend;
 mod blur;
 mod counts;
 mod defocus;
+mod disc;
 mod expose;
 mod eye;
 mod flat;

@@ -9,6 +9,9 @@ use std::ops::Range;
 pub(super) const SIDE: usize = 4;
 const _: () = assert!(SIDE * SIDE == WIDTH && 64 % SIDE == 0);
 
+/// Columns of a block.
+pub(super) const BLOCK: usize = u64::BITS as usize;
+
 /// Centre of a pixel on the sensor.
 pub(super) fn middle(column: usize, row: usize) -> DVec2 {
     DVec2::new(column as f64, row as f64) + 0.5
@@ -96,6 +99,21 @@ impl Pixels {
     pub fn of(&self, row: usize) -> impl Iterator<Item = usize> + '_ {
         let words = self.row(row).iter().enumerate();
         words.flat_map(|(word, &bits)| ones(bits).map(move |bit| 64 * word + bit))
+    }
+
+    /// Blocks of [`BLOCK`] columns; the last may be narrower.
+    pub fn blocks(&self) -> usize {
+        self.words_per_row
+    }
+
+    /// Columns of a row's pixels in a block, from left to right.
+    pub fn in_block(&self, row: usize, block: usize) -> impl Iterator<Item = usize> + '_ {
+        ones(self.row(row)[block]).map(move |bit| BLOCK * block + bit)
+    }
+
+    /// Whether it has the pixel in this row and column; there may be no such column.
+    pub fn contains(&self, row: usize, column: usize) -> bool {
+        column < self.columns && self.row(row)[column / BLOCK] >> (column % BLOCK) & 1 == 1
     }
 
     /// Bands of rows that tiles are as high as; the last may be lower.
@@ -228,6 +246,8 @@ mod tests {
             pixels.keep_columns(&(low..high));
             let found: Vec<usize> = pixels.of(1).collect();
             assert_eq!(found, (low..high).collect::<Vec<_>>());
+            let by_block = (0..pixels.blocks()).flat_map(|block| pixels.in_block(1, block));
+            assert!(by_block.eq(found));
             let span = (low < high).then_some(low..high);
             assert_eq!(pixels.span(), span);
         }

@@ -8,6 +8,7 @@
 //! cosines, is what a pupil seen from the side leaves of it: on a sensor parallel to the lens the
 //! blur has the pupil's shape.
 
+use super::disc::{self, Disc};
 use crate::camera::Camera;
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{Aperture, DMat2, DVec2};
@@ -24,6 +25,8 @@ pub(super) struct Pupil {
     from_frequency: DMat2,
     /// M.
     oblique: DMat2,
+    /// n.
+    direction: DVec2,
 }
 
 impl Pupil {
@@ -37,6 +40,7 @@ impl Pupil {
             grains,
             from_frequency: grains.transpose().inverse(),
             oblique: (DMat2::IDENTITY - DMat2::from_cols(n * n.x, n * n.y)) * cosine,
+            direction: n,
         }
     }
 
@@ -104,7 +108,7 @@ impl Pupil {
     /// autocorrelation of the pupil under its phase, ∫ P(u + ν/2)·P(u − ν/2)·cos(2πβ·u·Mν) d²u /
     /// ∫P d²u (Hopkins 1955). 1 at zero frequency, 0 from where the pupil no longer overlaps itself.
     /// `rule`: see [`Pupil::rule`].
-    pub fn transfers(&self, frequency: [f32x8; 2], blur: f64, rule: &[(f64, f64)]) -> f32x8 {
+    fn transfers(&self, frequency: [f32x8; 2], blur: f64, rule: &[(f64, f64)]) -> f32x8 {
         let of = |m: &DMat2, [x, y]: [f32x8; 2]| {
             let [a, b, c, d] = m.to_cols_array().map(|v| v as f32);
             [x * a + y * c, x * b + y * d]
@@ -148,11 +152,76 @@ impl Pupil {
         sum * widest * (4.0 / std::f32::consts::PI)
     }
 
+    /// For transfers at frequencies in cycles a pixel, along columns and along rows.
+    pub fn passes<'a>(&'a self, frequencies: &'a [DVec2]) -> Passes<'a> {
+        let n = self.direction;
+        let is_near = n.length_squared() <= 0.06;
+        let [a, b, c, d] = self.from_frequency.to_cols_array().map(|v| v as f32);
+        let (cosine, n) = (self.cosine() as f32, n.as_vec2());
+        let lag = |frequency: &DVec2| {
+            let [x, y] = frequency.to_array().map(|f| f as f32);
+            let (x, y) = (x * a + y * c, x * b + y * d);
+            let square = x * x + y * y;
+            let off = x * n.x + y * n.y;
+            let along = 1.0 - off * off / square.max(1e-12);
+            [square.sqrt(), cosine * along]
+        };
+        Passes {
+            pupil: self,
+            frequencies,
+            lags: match self.aperture == Aperture::Circle && is_near {
+                true => frequencies.iter().map(lag).collect(),
+                false => Vec::new(),
+            },
+        }
+    }
+
+    fn cosine(&self) -> f64 {
+        (1.0 - self.direction.length_squared()).sqrt()
+    }
+
     /// Nodes for [`Pupil::transfers`] at |β| `blur`: the phase is at most π|β|/4 along the strips, and
     /// a rule of n nodes integrates cos(φx) over 0 to 1 to f32's last digits from
     /// n = φ/2 + 6 on.
-    pub fn rule(blur: f64) -> Vec<(f64, f64)> {
+    fn rule(blur: f64) -> Vec<(f64, f64)> {
         gauss_legendre(6 + (blur.abs() * PI / 8.0).ceil() as usize)
+    }
+}
+
+/// [`Pupil::transfers`] of any number of frequencies; of a round pupil near the axis by table.
+///
+/// There the blur along a lag ν is β·νᵀMν/ν², and what M has across it, at most |n|²/2 of that, is left out:
+/// as far as light is passed, to βν = 1, that is (π·|n|²/2)²/12 of the transfer, 3e-4.
+pub(super) struct Passes<'a> {
+    pupil: &'a Pupil,
+    frequencies: &'a [DVec2],
+    /// Lags, and νᵀMν/ν²; empty where no table has the transfer.
+    lags: Vec<[f32; 2]>,
+}
+
+impl Passes<'_> {
+    /// At a blur β.
+    pub fn at(&self, blur: f64) -> Vec<f32> {
+        if blur.abs() < disc::MOST && !self.lags.is_empty() {
+            let (blur, cosine) = (blur.abs(), self.pupil.cosine());
+            let disc = Disc::new(blur * cosine.powi(3), blur * cosine);
+            let pass = |&[lag, along]: &[f32; 2]| disc.transfer(lag, along * blur as f32);
+            return self.lags.iter().map(pass).collect();
+        }
+        let rule = Pupil::rule(blur);
+        let mut passes = Vec::with_capacity(self.frequencies.len() + 7);
+        for eight in self.frequencies.chunks(8) {
+            let of = |axis: usize| {
+                let mut lanes = [0.0; 8];
+                for (lane, frequency) in lanes.iter_mut().zip(eight) {
+                    *lane = frequency[axis] as f32;
+                }
+                f32x8::from(lanes)
+            };
+            let eight = self.pupil.transfers([of(0), of(1)], blur, &rule);
+            passes.extend(eight.to_array());
+        }
+        passes
     }
 }
 

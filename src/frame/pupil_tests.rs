@@ -1,5 +1,6 @@
 use super::*;
 use crate::camera::fixture;
+use crate::math::rng::{Key, Purpose};
 use crate::math::sinc;
 
 const WAVELENGTH: f64 = 660e-6;
@@ -96,6 +97,41 @@ fn the_transfer_is_the_pupils_autocorrelation() {
             }
         }
     }
+}
+
+/// By table near the axis, to what is said of it, and summed elsewhere: drawn frequencies and blurs.
+#[test]
+fn passes_are_transfers() {
+    let key = Key::new(3, Purpose::SpecklePattern);
+    let (mut by_table, mut summed) = (0, 0);
+    for (aperture, tilt) in [(Aperture::Circle, 12.0), (Aperture::Ellipse(0.6), 0.0)] {
+        for i in 0..60 {
+            let uniform = |k: u64| key.with(i).uniform(k);
+            let place = DVec2::new(uniform(0) * 800.0, uniform(1) * 600.0);
+            let pupil = pupil(aperture, place, tilt);
+            let blur = (uniform(2) - 0.5) * 2.0 * 200f64.powf(uniform(3));
+            let lag = |k: u64| DVec2::new(uniform(10 + k) - 0.5, uniform(60 + k) - 0.5);
+            // More of them where light of such a blur passes.
+            let shrunk = |k: u64| lag(k) * 2.0 / (1.0 + (k % 3) as f64 * blur.abs() / 2.0);
+            let frequencies: Vec<DVec2> = (0..43)
+                .map(|k| pupil.grains.transpose() * shrunk(k))
+                .collect();
+            let near = pupil.direction.length_squared() <= 0.06 && blur.abs() < disc::MOST;
+            let tabulated = near && aperture == Aperture::Circle;
+            by_table += i32::from(tabulated);
+            summed += i32::from(!tabulated);
+            let bound = if tabulated { 1e-3 } else { 5e-5 };
+            let passes = pupil.passes(&frequencies).at(blur);
+            for (&frequency, pass) in frequencies.iter().zip(passes) {
+                let expected = transfer(&pupil, frequency, blur);
+                assert!(
+                    (pass as f64 - expected).abs() < bound,
+                    "{aperture:?} {place} {blur} {frequency}: {pass} {expected}"
+                );
+            }
+        }
+    }
+    assert!(by_table > 20 && summed > 60, "{by_table} {summed}");
 }
 
 /// A point beside the focus is spread to the pupil's shadow: where the chief ray and one through

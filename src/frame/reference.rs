@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
 use crate::speckle::coordinate::GrainMap;
-use crate::speckle::motion::{Motion, Source, SurfaceView, shift_on_pupil};
+use crate::speckle::motion::{Motion, Source, SurfaceView, shifts_on_pupil};
 use crate::speckle::strips::Strip;
 use glam::DMat2;
 
@@ -53,7 +53,7 @@ impl Seen {
     }
 
     /// Whether this is the same plane as another to rounding; what moves a grain is far more.
-    fn is_on(self, other: Seen) -> bool {
+    pub fn is_on(self, other: Seen) -> bool {
         self.normal == other.normal
             && (self.distance - other.distance).abs() <= 1e-9 * self.distance.abs()
     }
@@ -62,17 +62,19 @@ impl Seen {
 /// Where strips are read around a pixel's centre that sees a plane.
 pub(super) struct Around {
     seen: Seen,
-    centre: DVec2,
+    pub centre: DVec2,
+    /// So many rows up and down of it, and columns, it may be used for.
+    rows: f64,
     /// Direction cosines at the centre, and by column and row.
-    at: [DVec2; 2],
-    slopes: [DMat2; 2],
+    pub at: [DVec2; 2],
+    pub slopes: [DMat2; 2],
 }
 
 impl Around {
-    /// The direction cosines at a place; `None` if it sees another plane.
-    pub fn cosines(&self, place: DVec2, seen: Seen) -> Option<[DVec2; 2]> {
-        let off = place - self.centre;
-        (seen.is_on(self.seen)).then(|| [0, 1].map(|i| self.at[i] + self.slopes[i] * off))
+    /// From its centre to a pixel's; `None` if that sees another plane, or is too far off.
+    pub fn to(&self, centre: DVec2, seen: Seen) -> Option<DVec2> {
+        let off = centre - self.centre;
+        (off.abs().max_element() <= self.rows && seen.is_on(self.seen)).then_some(off)
     }
 }
 
@@ -91,7 +93,12 @@ pub(super) struct References {
     /// Shifts A_p of the pupil since the references, diameters, by which the lens itself moves a field
     /// on the surface that is out of focus; zero for fields on the sensor.
     through_lens: [DVec3; 2],
+    /// By how much a place may be missed, direction cosines.
+    missed: f64,
 }
+
+/// The same, texels: 1 % of a grain.
+const MISSED: f64 = 0.03;
 
 impl References {
     pub fn new(
@@ -121,6 +128,7 @@ impl References {
                 let since = strips.pupil - reference.strip.reference;
                 -since.extend(0.0) * wider
             }),
+            missed: MISSED / map.texels(DVec2::X).length(),
         }
     }
 
@@ -147,29 +155,36 @@ impl References {
 
     /// Where the ray from there meets the plane, camera's frame.
     fn point(&self, behind: DVec3, seen: Seen) -> DVec3 {
+        let (normal, distance) = self.in_camera(seen);
+        behind * (distance / normal.dot(behind))
+    }
+
+    /// Normal and distance of a plane in the camera's frame.
+    fn in_camera(&self, seen: Seen) -> (DVec3, f64) {
         let normal = self.camera_from_laser.vector(seen.normal);
         let distance = seen.distance + normal.dot(self.camera_from_laser.translation);
-        behind * (distance / normal.dot(behind))
+        (normal, distance)
     }
 
     /// From the point that the chief ray meets to those whose light comes through the middles
     /// of the strips.
     fn aside(&self, behind: DVec3, point: DVec3, seen: Seen) -> [DVec3; 2] {
-        let normal = self.camera_from_laser.vector(seen.normal);
         let focused_on = 1.0 / self.focal_length - 1.0 / behind.z;
         let blur = (1.0 - focused_on * point.z).clamp(-1.0, 1.0) * self.view.pupil_diameter;
+        if blur == 0.0 {
+            return [DVec3::ZERO; 2];
+        }
+        let normal = self.camera_from_laser.vector(seen.normal);
+        let beside = |i: usize, shift: DVec3| (shift - self.through_lens[i]) * blur;
+        let shifts = self.shifts(point, normal);
         [0, 1].map(|i| {
-            let (then_from_now, motion) = &self.strips[i];
-            let mut aside = DVec3::ZERO;
-            if blur != 0.0 {
-                // The shift is that of the point sought. It changes from there to here by
-                // a small share of itself, so twice is enough.
-                for _ in 0..2 {
-                    let shift = self.shift(point + aside, normal, then_from_now, motion);
-                    aside = (shift - self.through_lens[i]) * blur;
-                }
+            let aside = beside(i, shifts[i]);
+            // The shift is that of the point sought. It changes from there to here by a share of
+            // some ten times aside/L_o of itself; once more is enough where that counts.
+            if 10.0 * aside.length_squared() <= self.missed * point.z * point.z {
+                return aside;
             }
-            aside
+            beside(i, self.shifts(point + aside, normal)[i])
         })
     }
 
@@ -187,26 +202,53 @@ impl References {
     /// What lies aside is taken to be the same all over the pixel. It changes there by the
     /// change of the defocus, the pixel's image times the plane's slope over L_f, times D·|A_p|,
     /// which is at most D: a share D/L_f times the slope of the pixel.
+    ///
+    /// The same holds a few rows away: there cosines bend by the square of the way over that to
+    /// the lens, and what lies aside changes by ten times the way's share of itself.
     pub fn around(&self, centre: DVec2, seen: Seen) -> Option<Around> {
-        let on_plane = |off: DVec2| {
-            let point = self.point(self.behind(centre + off), seen);
-            (point.is_finite() && point.z * self.corner.z > 0.0).then_some(point)
-        };
-        let point = on_plane(DVec2::ZERO)?;
-        let aside = self.aside(self.behind(centre), point, seen);
-        let at = self.then(point, aside);
-        let next = |off: DVec2| Some(self.then(on_plane(off)?, aside));
-        let [by_column, by_row] = [next(DVec2::X * 0.5)?, next(DVec2::Y * 0.5)?];
-        Some(Around {
+        let behind = self.behind(centre);
+        let (normal, distance) = self.in_camera(seen);
+        let along = 1.0 / normal.dot(behind);
+        let way = distance * along;
+        let point = behind * way;
+        let slants = self.steps.map(|step| normal.dot(step) * along);
+        // Half a pixel away the plane is still before the lens.
+        let is_seen = point.is_finite()
+            && point.z * self.corner.z > 0.0
+            && slants.iter().all(|slant| slant.abs() < 2.0);
+        if !is_seen {
+            return None;
+        }
+        let moves = [0, 1].map(|i| (self.steps[i] - behind * slants[i]) * way);
+        let aside = self.aside(behind, point, seen);
+        let furthest = aside[0].length().max(aside[1].length());
+        let pitch = (self.steps[1] / self.corner.z).length();
+        let rows = (self.missed.sqrt() / pitch)
+            .min(0.1 * self.missed * point.z / (pitch * furthest.max(f64::MIN_POSITIVE)));
+        let mut around = Around {
             seen,
             centre,
-            at,
-            slopes: [0, 1].map(|i| DMat2::from_cols(by_column[i] - at[i], by_row[i] - at[i]) * 2.0),
-        })
+            rows: if rows < 1.0 { 0.0 } else { rows },
+            at: [DVec2::ZERO; 2],
+            slopes: [DMat2::ZERO; 2],
+        };
+        for i in 0..2 {
+            let then_from_now = &self.strips[i].0;
+            let then = then_from_now.point(point + aside[i]);
+            let per_mm = 1.0 / then.length();
+            let cosines = then * per_mm;
+            let slope = |step: DVec3| {
+                let step = then_from_now.vector(step) * per_mm;
+                (step - cosines * cosines.dot(step)).truncate()
+            };
+            around.at[i] = cosines.truncate();
+            around.slopes[i] = DMat2::from_cols(slope(moves[0]), slope(moves[1]));
+        }
+        Some(around)
     }
 
-    /// A_p of a point (camera's frame) since the reference, in pupil diameters.
-    fn shift(&self, point: DVec3, normal: DVec3, then_from_now: &Rigid, motion: &Motion) -> DVec3 {
+    /// For each strip A_p of a point (camera's frame) since the reference, in pupil diameters.
+    fn shifts(&self, point: DVec3, normal: DVec3) -> [DVec3; 2] {
         let source = match self.view.source {
             Source::Wavefront {
                 direction,
@@ -217,14 +259,17 @@ impl References {
             },
             source => source,
         };
-        let part = point - then_from_now.point(point);
         let view = SurfaceView {
             point,
             normal,
             source,
             ..self.view
         };
-        shift_on_pupil(&view, &Motion { part, ..*motion }, DVec3::Z)
+        let motions = self.strips.map(|(then_from_now, motion)| Motion {
+            part: point - then_from_now.point(point),
+            ..motion
+        });
+        shifts_on_pupil(&view, &motions, DVec3::Z)
     }
 }
 
@@ -282,6 +327,7 @@ mod tests {
                 offsets: [DVec2::ZERO; 2],
                 camera_from_laser: Rigid::IDENTITY,
                 through_lens: [DVec3::ZERO; 2],
+                missed: 0.0,
             };
             let normal = DVec3::new(draw(-0.7, 0.7), draw(-0.7, 0.7), -1.0).normalize();
             let centre = DVec2::new(draw(0.0, 1600.0).floor(), draw(0.0, 1200.0).floor()) + 0.5;
@@ -289,7 +335,9 @@ mod tests {
             let seen = Seen { normal, distance };
             let around = references.around(centre, seen).unwrap();
             let place = centre + DVec2::new(draw(-0.5, 0.5), draw(-0.5, 0.5));
-            let found = around.cosines(place, seen).unwrap();
+            let off = place - centre;
+            let found = [0, 1].map(|i| around.at[i] + around.slopes[i] * off);
+            assert_eq!(around.to(centre, seen), Some(DVec2::ZERO));
             let expected = references.cosines(place, seen);
             let behind = references.behind(centre);
             let point = references.point(behind, seen);
@@ -304,7 +352,7 @@ mod tests {
                 );
             }
             let distance = distance + 1e-3;
-            assert_eq!(around.cosines(place, Seen { normal, distance }), None);
+            assert_eq!(around.to(centre, Seen { normal, distance }), None);
             moved_far += usize::from(aside.length() > 100.0 * missed * DEPTH);
         }
         assert!(moved_far > 200, "{moved_far}");

@@ -8,7 +8,7 @@ use crate::speckle::coordinate::{Coordinate, GrainMap};
 use crate::speckle::frame_field::{FrameField, FrameFields, PupilPlace};
 use crate::speckle::lookup::Lookup;
 use crate::speckle::strips::StripField;
-use glam::Vec2;
+use glam::{DMat2, Vec2};
 use rustfft::num_complex::Complex32;
 use wide::f32x4;
 
@@ -163,24 +163,24 @@ impl<'a> Reader<'a> {
     }
 
     /// Speckle intensity, mean 1, at a place (column, row) on the sensor.
-    pub fn intensity(&self, place: DVec2, seen: Seen) -> f64 {
+    fn intensity(&self, place: DVec2, seen: Seen) -> f32 {
         let at = self.at(place);
-        let intensity = match &self.source {
+        match &self.source {
             Source::Frame(field) => field.intensity(at),
+            Source::Strips { .. } if seen == Seen::default() => 0.0,
             Source::Strips { field, references } => {
-                self.of_strips(field, references, references.cosines(place, seen))
+                field.intensity(self.texels(references, references.cosines(place, seen)))
             }
             &Source::Ring { lookup, slice: u } => lookup.intensity(Coordinate {
                 s: at.x,
                 t: at.y,
                 u,
             }),
-        };
-        intensity as f64
+        }
     }
 
     /// The same of light of this degree of polarisation, of patterns made for unpolarised light.
-    pub fn intensity_of(&self, place: DVec2, seen: Seen, polarised: f32) -> f32 {
+    fn intensity_of(&self, place: DVec2, seen: Seen, polarised: f32) -> f32 {
         let sum = |weights: &mut dyn Iterator<Item = f32>, field: &dyn Fn(usize) -> Complex32| {
             let pattern = |(k, weight)| weight * power(k, polarised) * field(k).norm_sqr();
             weights.enumerate().map(pattern).sum()
@@ -193,8 +193,7 @@ impl<'a> Reader<'a> {
             // What sees nothing lit has no light.
             Source::Strips { .. } if seen == Seen::default() => 0.0,
             Source::Strips { field, references } => {
-                let cosines = references.cosines(place, seen);
-                let at = [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i]);
+                let at = self.texels(references, references.cosines(place, seen));
                 sum(&mut field.weights(), &|k| field.amplitude_of(k, at))
             }
             Source::Ring { .. } => unreachable!("{NO_FIELD}"),
@@ -216,18 +215,17 @@ impl<'a> Reader<'a> {
         match &self.source {
             Source::Frame(field) => field.amplitude_of(pattern, self.at(place)),
             Source::Strips { field, references } => {
-                let cosines = references.cosines(place, seen);
-                let at = [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i]);
+                let at = self.texels(references, references.cosines(place, seen));
                 field.amplitude_of(pattern, at)
             }
             Source::Ring { .. } => unreachable!("{NO_FIELD}"),
         }
     }
 
-    /// Intensity of strips that are read under these direction cosines.
+    /// Where strips are read under these direction cosines, texels.
     #[inline(always)]
-    fn of_strips(&self, field: &StripField, references: &References, at: [DVec2; 2]) -> f32 {
-        field.intensity([0, 1].map(|i| self.map.texels(at[i]) + references.offsets[i]))
+    fn texels(&self, references: &References, cosines: [DVec2; 2]) -> [DVec2; 2] {
+        [0, 1].map(|i| self.map.texels(cosines[i]) + references.offsets[i])
     }
 
     /// (s, t) of a place on the sensor.
@@ -236,76 +234,143 @@ impl<'a> Reader<'a> {
         self.displacement + self.map.texels(self.rays.cosines(place))
     }
 
-    /// For reading within the pixel around `centre`.
+    /// For reading within the pixel around `centre`; `nearby` is what was found in pixels above it, whatever
+    /// they saw.
     #[inline(always)]
-    pub fn pixel(&self, centre: DVec2) -> PixelReader<'_> {
-        let (cosines, slopes) = self.rays.around(centre);
-        let at = self.displacement + self.map.texels(cosines);
-        let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
-        let extent = steps[0].abs() + steps[1].abs();
+    pub fn pixel<'r>(&'r self, centre: DVec2, nearby: &'r mut Nearby) -> PixelReader<'r> {
         PixelReader {
             reader: self,
-            field: match &self.source {
-                Source::Frame(field) if extent.max_element() <= 2.0 * FrameField::REACH => {
-                    Some(field)
+            own: match &self.source {
+                Source::Frame(field) => {
+                    let (cosines, slopes) = self.rays.around(centre);
+                    let at = self.displacement + self.map.texels(cosines);
+                    self.steps(slopes).map(|steps| (field, at, steps))
                 }
                 _ => None,
             },
             centre,
-            at,
-            steps: steps.map(|step| step.as_vec2()),
-            around: None,
+            nearby,
         }
+    }
+
+    /// Intensities, mean 1, in the middles of four pixels side by side, of which the first has this centre; over them
+    /// the pattern is not bent. `None` where it depends on what is seen, or four pixels are not within a
+    /// field's reach.
+    #[inline(always)]
+    pub fn side_by_side(&self, first: DVec2) -> Option<[f32; 4]> {
+        let Source::Frame(field) = &self.source else {
+            return None;
+        };
+        let (cosines, slopes) = self.rays.around(first + DVec2::new(1.5, 0.0));
+        let step = self.map.texels(slopes.x_axis);
+        if 1.5 * step.abs().max_element() > FrameField::REACH {
+            return None;
+        }
+        let off = f32x4::from([-1.5, -0.5, 0.5, 1.5]);
+        let [s, t] = step.to_array().map(|step| off * step as f32);
+        let at = self.displacement + self.map.texels(cosines);
+        Some(field.around(at, s, t, 4).to_array())
+    }
+
+    /// Texels by column and by row; `None` if a pixel is not within a field's reach.
+    #[inline(always)]
+    fn steps(&self, slopes: DMat2) -> Option<[Vec2; 2]> {
+        let steps = [slopes.x_axis, slopes.y_axis].map(|slope| self.map.texels(slope));
+        let extent = steps[0].abs() + steps[1].abs();
+        let is_within = extent.max_element() <= 2.0 * FrameField::REACH;
+        is_within.then(|| steps.map(|step| step.as_vec2()))
+    }
+}
+
+/// Where strips are read on the plane that the last sample saw.
+pub(super) struct Nearby(Option<Around>);
+
+impl Nearby {
+    /// Nothing was read.
+    pub const NONE: Nearby = Nearby(None);
+
+    /// Around the pixel with this centre that sees a plane.
+    #[inline(always)]
+    fn around(&mut self, references: &References, centre: DVec2, seen: Seen) -> Option<&Around> {
+        let known = self.0.as_ref().and_then(|around| around.to(centre, seen));
+        if known.is_none() {
+            self.0 = references.around(centre, seen);
+        }
+        self.0.as_ref()
     }
 }
 
 /// Speckle within a pixel, over which the pattern is not bent.
 pub(super) struct PixelReader<'a> {
     reader: &'a Reader<'a>,
-    /// One in focus, of a pixel within its reach.
-    field: Option<&'a FrameField>,
+    /// The frame's one field, where the middle reads it, and texels by column and by row.
+    own: Option<(&'a FrameField, DVec2, [Vec2; 2])>,
     centre: DVec2,
-    at: DVec2,
-    /// Texels by column and by row.
-    steps: [Vec2; 2],
-    /// Where strips are read on the plane that the last sample saw.
-    around: Option<Around>,
+    nearby: &'a mut Nearby,
 }
 
-impl PixelReader<'_> {
+impl<'a> PixelReader<'a> {
+    /// Intensity, mean 1, in the pixel's middle.
+    #[inline(always)]
+    pub fn middle(&mut self, seen: Seen) -> f32 {
+        self.four(f32x4::ZERO, f32x4::ZERO, &[seen], 1).to_array()[0]
+    }
+
     /// Intensities, mean 1, at the first `count` of four places so many columns and rows
     /// (up to ½) from the pixel's centre; what others give is of no use.
     #[inline(always)]
     pub fn four(&mut self, columns: f32x4, rows: f32x4, seen: &[Seen], count: usize) -> f32x4 {
-        let Some(field) = self.field else {
-            let (columns, rows) = (columns.to_array(), rows.to_array());
-            let mut values = [0.0; 4];
-            for i in 0..count {
-                let off = DVec2::new(columns[i] as f64, rows[i] as f64);
-                let seen = seen.get(i).copied().unwrap_or_default();
-                values[i] = self.one(self.centre + off, seen);
-            }
-            return values.into();
+        let along = |[by_column, by_row]: [Vec2; 2]| {
+            [
+                columns * by_column.x + rows * by_row.x,
+                columns * by_column.y + rows * by_row.y,
+            ]
         };
-        let [by_column, by_row] = self.steps;
-        let s = columns * by_column.x + rows * by_row.x;
-        let t = columns * by_column.y + rows * by_row.y;
-        field.around(self.at, s, t, count)
+        if let Some((field, at, steps)) = self.own {
+            let [s, t] = along(steps);
+            return field.around(at, s, t, count);
+        }
+        if let Some((field, at, steps)) = self.of_strips(seen, count) {
+            return field.around(at, steps.map(along), count);
+        }
+        let (columns, rows) = (columns.to_array(), rows.to_array());
+        let mut values = [0.0; 4];
+        for i in 0..count {
+            let off = DVec2::new(columns[i] as f64, rows[i] as f64);
+            let seen = seen.get(i).copied().unwrap_or_default();
+            values[i] = self.reader.intensity(self.centre + off, seen);
+        }
+        values.into()
     }
 
-    fn one(&mut self, place: DVec2, seen: Seen) -> f32 {
+    /// Intensity, mean 1, so far (columns, rows) from the pixel's centre, of light of this degree of polarisation.
+    pub fn one_of(&self, off: DVec2, seen: Seen, polarised: f32) -> f32 {
+        self.reader.intensity_of(self.centre + off, seen, polarised)
+    }
+
+    /// The strips that all of these samples read, where the middle does, and texels by column and by row.
+    /// `None` if they see different planes, or none.
+    #[inline(always)]
+    fn of_strips(
+        &mut self,
+        seen: &[Seen],
+        count: usize,
+    ) -> Option<(&'a StripField, [DVec2; 2], [[Vec2; 2]; 2])> {
         let Source::Strips { field, references } = &self.reader.source else {
-            return self.reader.intensity(place, seen) as f32;
+            return None;
         };
-        if seen == Seen::default() {
-            return 0.0;
+        let (&first, others) = seen.get(..count)?.split_first()?;
+        if first == Seen::default() || !others.iter().all(|seen| seen.is_on(first)) {
+            return None;
         }
-        let known = |around: &Around| around.cosines(place, seen);
-        let cosines = self.around.as_ref().and_then(known).or_else(|| {
-            self.around = references.around(self.centre, seen);
-            self.around.as_ref().and_then(known)
-        });
-        let cosines = cosines.unwrap_or_else(|| references.cosines(place, seen));
-        self.reader.of_strips(field, references, cosines)
+        let around = self.nearby.around(references, self.centre, first)?;
+        let off = self.centre - around.centre;
+        let cosines = [0, 1].map(|i| around.at[i] + around.slopes[i] * off);
+        let [first, second] = around.slopes.map(|slopes| self.reader.steps(slopes));
+        Some((
+            field,
+            self.reader.texels(references, cosines),
+            [first?, second?],
+        ))
     }
 }

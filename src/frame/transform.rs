@@ -44,6 +44,13 @@ impl Band {
         }
     }
 
+    /// The same of what is real: on one side of zero along columns, the other side mirrors it.
+    pub fn of_real(size: [usize; 2], most: DVec2) -> Band {
+        let mut band = Band::new(size, most);
+        band.columns.retain(|&x| 2 * x <= size[0]);
+        band
+    }
+
     /// The frequencies, cycles a sample from −½ to ½, in the order in which their values are held:
     /// column by column.
     pub fn frequencies(&self) -> impl Iterator<Item = DVec2> + '_ {
@@ -54,10 +61,13 @@ impl Band {
         })
     }
 
-    /// Number of the frequency that lies as far on the other side of zero.
-    pub fn mirrored(&self, i: usize) -> usize {
-        let [columns, rows] = [self.columns.len(), self.rows.len()];
-        (columns - i / rows) % columns * rows + (rows - i % rows) % rows
+    /// The same along columns and along rows.
+    pub fn along(&self) -> [Vec<f64>; 2] {
+        let of = |numbers: &[usize], n: usize| numbers.iter().map(|&i| signed(i, n)).collect();
+        [
+            of(&self.columns, self.size[0]),
+            of(&self.rows, self.size[1]),
+        ]
     }
 
     /// How many they are.
@@ -71,15 +81,17 @@ pub(super) struct Drawn {
     /// Samples along the side of a pixel.
     side: usize,
     /// Where, in samples from the pixel's first, along the columns and along the rows.
-    column: f64,
-    row: f64,
+    place: [f64; 2],
 }
 
 impl Drawn {
-    /// At a place in pixels from the pixel's centre.
-    pub fn at(column: f64, row: f64, side: usize) -> Drawn {
-        let [column, row] = [column, row].map(|place| (place + 0.5) * side as f64 - 0.5);
-        Drawn { side, column, row }
+    /// At a place in pixels from the pixel's centre, (column, row).
+    pub fn at(place: DVec2, side: usize) -> Drawn {
+        let along = |i: usize| (place[i] + 0.5) * side as f64 - 0.5;
+        Drawn {
+            side,
+            place: [along(0), along(1)],
+        }
     }
 }
 
@@ -115,16 +127,49 @@ impl Transform {
 
     /// The spectrum of a rectangle that is dark but for these rows, from row `first` on; they are used up.
     pub fn forward(&mut self, rows: &mut [Complex32], first: usize, band: &Band) -> Vec<Complex32> {
-        let [width, height] = band.size;
+        let width = band.size[0];
         self.each(rows, width, FftDirection::Forward);
+        self.down(band, |by_column, height| {
+            for (y, row) in rows.chunks(width).enumerate() {
+                for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
+                    column[first + y] = row[x];
+                }
+            }
+        })
+    }
+
+    /// The same of real rows in a band of what is real: row 2i is the real part and row 2i + 1 the
+    /// imaginary part of row i of `pairs`, from row `first` on.
+    pub fn forward_real(
+        &mut self,
+        pairs: &mut [Complex32],
+        first: usize,
+        band: &Band,
+    ) -> Vec<Complex32> {
+        let width = band.size[0];
+        self.each(pairs, width, FftDirection::Forward);
+        self.down(band, |by_column, height| {
+            for (y, pair) in (first..).step_by(2).zip(pairs.chunks(width)) {
+                for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
+                    let (here, mirrored) = (pair[x], pair[(width - x) % width].conj());
+                    let [sum, difference] = [here + mirrored, here - mirrored];
+                    column[y] = sum * 0.5;
+                    // There is none after the last of an odd number of rows.
+                    if let Some(next) = column.get_mut(y + 1) {
+                        *next = Complex32::new(difference.im, -difference.re) * 0.5;
+                    }
+                }
+            }
+        })
+    }
+
+    /// Transforms the columns of a band that `fill` sets.
+    fn down(&mut self, band: &Band, fill: impl FnOnce(&mut [Complex32], usize)) -> Vec<Complex32> {
+        let height = band.size[1];
         let mut by_column = std::mem::take(&mut self.by_column);
         by_column.clear();
         by_column.resize(band.columns.len() * height, Complex32::ZERO);
-        for (y, row) in rows.chunks(width).enumerate() {
-            for (column, &x) in by_column.chunks_mut(height).zip(&band.columns) {
-                column[first + y] = row[x];
-            }
-        }
+        fill(&mut by_column, height);
         self.each(&mut by_column, height, FftDirection::Forward);
         let columns = by_column.chunks(height);
         let values = columns.flat_map(|column| band.rows.iter().map(|&y| column[y]));
@@ -140,14 +185,72 @@ impl Transform {
         band: &Band,
         drawn: &Drawn,
     ) -> Vec<Complex32> {
-        let [width, height] = band.size.map(|n| n / drawn.side);
+        let mut image = Vec::new();
+        self.up(spectrum, band, drawn, |by_column, [width, height]| {
+            image = vec![Complex32::ZERO; width * height];
+            // Some columns at a time, so that what is written lies together.
+            for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
+                for (y, row) in image.chunks_mut(width).enumerate() {
+                    for (i, x) in numbers.iter().enumerate() {
+                        row[x % width] += from[i * height + y];
+                    }
+                }
+            }
+        });
+        self.each(&mut image, band.size[0] / drawn.side, FftDirection::Inverse);
+        image
+    }
+
+    /// The same of a real image: as pairs of rows, see [`Transform::forward_real`].
+    pub fn backward_real(
+        &mut self,
+        spectrum: &[Complex32],
+        band: &Band,
+        drawn: &Drawn,
+    ) -> Vec<Complex32> {
+        let mut image = Vec::new();
+        self.up(spectrum, band, drawn, |by_column, [width, height]| {
+            image = vec![Complex32::ZERO; width * height.div_ceil(2)];
+            for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
+                for (y, pair) in image.chunks_mut(width).enumerate() {
+                    for (i, &x) in numbers.iter().enumerate() {
+                        let column = &from[i * height..][..height];
+                        let here = column[2 * y];
+                        let next = column.get(2 * y + 1).copied().unwrap_or_default();
+                        if (2 * x).is_multiple_of(band.size[0]) {
+                            pair[x % width] += Complex32::new(here.re, next.re);
+                        } else {
+                            let mirrored = (band.size[0] - x) % width;
+                            pair[x % width] += here + next * Complex32::I;
+                            pair[mirrored] += here.conj() + next.conj() * Complex32::I;
+                        }
+                    }
+                }
+            }
+        });
+        let width = band.size[0] / drawn.side;
+        self.each(&mut image, width, FftDirection::Inverse);
+        image
+    }
+
+    /// The columns of an image; `take` gets them, and how many columns and rows of pixels the image has.
+    fn up(
+        &mut self,
+        spectrum: &[Complex32],
+        band: &Band,
+        drawn: &Drawn,
+        take: impl FnOnce(&[Complex32], [usize; 2]),
+    ) {
+        let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side);
         let turn = |i: usize, n: usize, by: f64| {
             let (sin, cos) = (TAU * signed(i, n) * by).sin_cos();
+            // Half a cycle a sample is that on both sides of zero, which turn either way.
+            let sin = if 2 * i == n { 0.0 } else { sin };
             Complex32::new(cos as f32, sin as f32)
         };
         let [columns, rows] = band.size;
         // Where each row of the band goes, and how it is turned.
-        let of_row = |&y: &usize| (y % height, turn(y, rows, drawn.row));
+        let of_row = |&y: &usize| (y % height, turn(y, rows, drawn.place[1]));
         let of_rows: Vec<(usize, Complex32)> = band.rows.iter().map(of_row).collect();
         let mut by_column = std::mem::take(&mut self.by_column);
         by_column.clear();
@@ -155,24 +258,14 @@ impl Transform {
         let scale = 1.0 / (columns * rows) as f32;
         let of_columns = by_column.chunks_mut(height).zip(&band.columns);
         for ((onto, &x), values) in of_columns.zip(spectrum.chunks(of_rows.len())) {
-            let x_turn = turn(x, columns, drawn.column) * scale;
+            let x_turn = turn(x, columns, drawn.place[0]) * scale;
             for (value, &(y, y_turn)) in values.iter().zip(&of_rows) {
                 onto[y] += value * y_turn * x_turn;
             }
         }
         self.each(&mut by_column, height, FftDirection::Inverse);
-        let mut image = vec![Complex32::ZERO; width * height];
-        // Some columns at a time, so that what is written lies together.
-        for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
-            for (y, row) in image.chunks_mut(width).enumerate() {
-                for (i, x) in numbers.iter().enumerate() {
-                    row[x % width] += from[i * height + y];
-                }
-            }
-        }
+        take(&by_column, [width, height]);
         self.by_column = by_column;
-        self.each(&mut image, width, FftDirection::Inverse);
-        image
     }
 }
 
@@ -210,7 +303,7 @@ mod tests {
         }
         // In the middle between two samples each, and a quarter of a pixel further on.
         for by in [0.0, 0.25] {
-            let drawn = Drawn::at(by, 0.0, 2);
+            let drawn = Drawn::at(DVec2::X * by, 2);
             let half = Transform::with(|transform| transform.backward(&there, &band, &drawn));
             for (i, value) in half.iter().enumerate() {
                 let (x, y) = ((2 * (i % 9)) as f64, (2 * (i / 9)) as f64 + 0.5);
@@ -238,10 +331,56 @@ mod tests {
             ]
         });
         assert_eq!(some, whole);
-        let drawn = Drawn::at(0.0, 0.0, 1);
+        let drawn = Drawn::at(DVec2::ZERO, 1);
         let back = Transform::with(|transform| transform.backward(&some, &band, &drawn));
         for (back, image) in back.iter().zip(image) {
             assert!((back - image).norm() < 1e-5);
+        }
+    }
+
+    /// Real rows two at a time, even and odd in number, as by complex transforms.
+    #[test]
+    fn real_rows_are_transformed_as_complex_ones() {
+        for (size, lit) in [([18, 30], 7), ([15, 25], 25), ([16, 12], 12)] {
+            let most = DVec2::new(0.4, 0.5);
+            let [half, band] = [Band::of_real(size, most), Band::new(size, most)];
+            let first = size[1] - lit;
+            let value = |i: usize| ((i * i + 3 * i) % 23) as f32 - 8.0;
+            let mut rows: Vec<Complex32> = (0..size[0] * lit).map(|i| value(i).into()).collect();
+            let mut pairs = vec![Complex32::ZERO; size[0] * lit.div_ceil(2)];
+            for (i, row) in rows.iter().enumerate() {
+                let (x, y) = (i % size[0], i / size[0]);
+                let pair = &mut pairs[y / 2 * size[0] + x];
+                *pair += if y % 2 == 0 { *row } else { row * Complex32::I };
+            }
+            let [some, all] = Transform::with(|transform| {
+                [
+                    transform.forward_real(&mut pairs, first, &half),
+                    transform.forward(&mut rows, first, &band),
+                ]
+            });
+            let of: Vec<DVec2> = band.frequencies().collect();
+            for (value, frequency) in some.iter().zip(half.frequencies()) {
+                let at = of.iter().position(|&f| f == frequency).unwrap();
+                // Rounding of some hundred terms up to 14.
+                assert!((value - all[at]).norm() < 1e-2, "{size:?} {frequency}");
+            }
+            for side in (1..=3).filter(|side| size.iter().all(|n| n.is_multiple_of(*side))) {
+                let drawn = Drawn::at(DVec2::ZERO, side);
+                let width = size[0] / side;
+                let [pairs, image] = Transform::with(|transform| {
+                    [
+                        transform.backward_real(&some, &half, &drawn),
+                        transform.backward(&all, &band, &drawn),
+                    ]
+                });
+                for (i, value) in image.iter().enumerate() {
+                    let (x, y) = (i % width, i / width);
+                    let pair = pairs[y / 2 * width + x];
+                    let found = if y % 2 == 0 { pair.re } else { pair.im };
+                    assert!((found - value.re).abs() < 1e-4, "{size:?} {side} {x} {y}");
+                }
+            }
         }
     }
 }

@@ -260,6 +260,19 @@ impl FrameField {
 
     #[inline(always)]
     fn powers(&self, at: DVec2, s: f32x4, t: f32x4, count: usize) -> f32x4 {
+        let ([re, im], kept) = self.amplitudes(at, s, t, count);
+        (re * re + im * im) / kept
+    }
+
+    /// Amplitudes, as [`FrameField::around`], and the share of the variance that blending kept.
+    #[inline(always)]
+    pub(super) fn amplitudes(
+        &self,
+        at: DVec2,
+        s: f32x4,
+        t: f32x4,
+        count: usize,
+    ) -> ([f32x4; 2], f32x4) {
         let (columns, fs) = self.period.near(at.x, s);
         let (rows, ft) = self.period.near(at.y, t);
         let firsts: i32x4 = rows * i32x4::splat(self.stride as i32) + columns;
@@ -273,9 +286,12 @@ impl FrameField {
         };
         let sides = [sides(0), sides(1), sides(2), sides(3)];
         let [re, im, right_re, right_im] = f32x4::transpose(sides);
-        let (re, im) = (re + fs * (right_re - re), im + fs * (right_im - im));
+        let blend = |left: f32x4, right: f32x4| left + fs * (right - left);
         let kept = |f: f32x4, lost: f32| 1.0 - f * (1.0 - f) * lost;
-        (re * re + im * im) / (kept(fs, self.lost.x) * kept(ft, self.lost.y))
+        (
+            [blend(re, right_re), blend(im, right_im)],
+            kept(fs, self.lost.x) * kept(ft, self.lost.y),
+        )
     }
 
     /// A texel with its neighbour to the right, and those below.

@@ -168,6 +168,13 @@ pub fn overlap_correlation_defocused(delta: f64, phase: f64) -> f64 {
     (re * re + im * im) * quarter_plane * quarter_plane
 }
 
+/// Direction n_o and distance L_o of the pupil from a surface point; `None` where the point is the pupil's
+/// centre (or not finite).
+fn towards_pupil(view: &SurfaceView) -> Option<(DVec3, f64)> {
+    let to_pupil = view.pupil_centre - view.point;
+    Some((to_pupil.try_normalize()?, to_pupil.length()))
+}
+
 /// The viewing ray at a surface point: unit vector, length, basis Q across it.
 pub(crate) struct ViewRay {
     pub direction: DVec3,
@@ -178,15 +185,14 @@ pub(crate) struct ViewRay {
 impl ViewRay {
     /// `None` where the point is the pupil's centre (or not finite).
     pub fn of(view: &SurfaceView) -> Option<ViewRay> {
-        let to_pupil = view.pupil_centre - view.point;
-        let direction = to_pupil.try_normalize()?;
+        let (direction, length) = towards_pupil(view)?;
         let across = view.image_x - direction * view.image_x.dot(direction);
         let x = across
             .try_normalize()
             .unwrap_or_else(|| direction.any_orthonormal_vector());
         Some(ViewRay {
             direction,
-            length: to_pupil.length(),
+            length,
             basis: [x, direction.cross(x)],
         })
     }
@@ -213,35 +219,48 @@ impl Source {
     }
 }
 
-/// Q·A_p in mm, linear in the motion, not yet limited: `None` or not finite where
+/// Q·A_p in mm, linear in the motion, not yet limited: not finite where
 /// the formula is singular. (TᵀQ)⁻¹Tᵀ is written as the projection onto the plane
 /// across n_o along the surface normal n, which is the same map without a basis
-/// T: Q·A_p = L_o·(g − n·(g·n_o)/(n·n_o)).
-fn pupil_shift(view: &SurfaceView, ray: &ViewRay, motion: &Motion) -> Option<DVec3> {
-    let (n_s, curvature) = view.source.at(view.point)?;
+/// T: Q·A_p = L_o·(g − n·(g·n_o)/(n·n_o)). `source` is n_s and C_s at the point, the
+/// viewing ray is n_o and L_o.
+fn pupil_shift(
+    view: &SurfaceView,
+    (n_o, length): (DVec3, f64),
+    (n_s, curvature): (DVec3, DMat3),
+    motion: &Motion,
+) -> DVec3 {
     let relative = motion.part - motion.camera;
-    let g_times_length = ray.length
-        * (curvature * (motion.part - motion.laser) + (n_s - ray.direction).cross(motion.rotation))
+    let g_times_length = length
+        * (curvature * (motion.part - motion.laser) + (n_s - n_o).cross(motion.rotation))
         + relative
-        - ray.direction * ray.direction.dot(relative);
-    let slant = g_times_length.dot(ray.direction) / view.normal.dot(ray.direction);
-    Some(g_times_length - view.normal * slant)
+        - n_o * n_o.dot(relative);
+    let slant = g_times_length.dot(n_o) / view.normal.dot(n_o);
+    g_times_length - view.normal * slant
 }
 
-/// A_p on the plane across `axis` (unit vector) in which the pupil lies, in diameters:
-/// the shift along the viewing rays as the lens sees it. At most 1, past which no
+/// A_p on the plane across `axis` (unit vector) in which the pupil lies, in diameters, by each of
+/// these motions: the shift along the viewing rays as the lens sees it. At most 1, past which no
 /// light of the old field is left; zero where the formula is singular.
-pub fn shift_on_pupil(view: &SurfaceView, motion: &Motion, axis: DVec3) -> DVec3 {
-    let Some(ray) = ViewRay::of(view) else {
-        return DVec3::ZERO;
+pub fn shifts_on_pupil<const N: usize>(
+    view: &SurfaceView,
+    motions: &[Motion; N],
+    axis: DVec3,
+) -> [DVec3; N] {
+    let Some((ray, source)) = towards_pupil(view).zip(view.source.at(view.point)) else {
+        return [DVec3::ZERO; N];
     };
-    let across = pupil_shift(view, &ray, motion).unwrap_or(DVec3::NAN);
-    let slant = ray.direction * (across.dot(axis) / ray.direction.dot(axis));
-    let shift = (across - slant) / view.pupil_diameter;
-    match shift.is_finite() {
-        true => shift.clamp_length_max(1.0),
-        false => DVec3::ZERO,
-    }
+    let (direction, _) = ray;
+    let per_length = 1.0 / direction.dot(axis);
+    std::array::from_fn(|i| {
+        let across = pupil_shift(view, ray, source, &motions[i]);
+        let slant = direction * (across.dot(axis) * per_length);
+        let shift = (across - slant) / view.pupil_diameter;
+        match shift.is_finite() {
+            true => shift.clamp_length_max(1.0),
+            false => DVec3::ZERO,
+        }
+    })
 }
 
 /// Shift of the speckle across the pupil and on the sensor (formula: see the
@@ -276,10 +295,11 @@ pub fn speckle_shift(view: &SurfaceView, motion: &Motion) -> SpeckleShift {
         sensor: in_focus,
         ..lost
     };
-    let Some(pupil) = pupil_shift(view, &ray, motion) else {
+    let Some(source) = view.source.at(view.point) else {
         return lost;
     };
-    let pupil = ray.project(pupil);
+    let of_ray = (ray.direction, ray.length);
+    let pupil = ray.project(pupil_shift(view, of_ray, source, motion));
     if !pupil.is_finite() {
         return lost;
     }

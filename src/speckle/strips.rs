@@ -24,6 +24,7 @@ use super::frame_field::{FrameField, FrameFields};
 use crate::math::DVec2;
 use rustfft::num_complex::Complex32;
 use std::f64::consts::TAU;
+use wide::f32x4;
 
 /// A strip of the pupil's plane. Places on the plane are in pupil diameters, along the
 /// sensor's columns and rows.
@@ -124,8 +125,44 @@ impl StripField {
             let (b, gain_b) = second.amplitude(at[1] + offset);
             (a * gain_a.sqrt() + b.rotate(turn) * gain_b.sqrt()).length_squared()
         };
-        let mut sum = first.first_weight * layer(DVec2::ZERO);
+        let mut sum = self.first_weight() * layer(DVec2::ZERO);
         for &(weight, offset) in &first.further_layers {
+            sum += weight * layer(offset);
+        }
+        sum
+    }
+
+    fn first_weight(&self) -> f32 {
+        self.strips[0].first_weight
+    }
+
+    /// The same at the first `count` of four places, so many texels along s and along t (at most
+    /// [`FrameField::REACH`]) from `at`; differs by rounding. Others are of no use.
+    #[inline(always)]
+    pub fn around(&self, at: [DVec2; 2], steps: [[f32x4; 2]; 2], count: usize) -> f32x4 {
+        let turn = self.turns[1].dot(at[1]) - self.turns[0].dot(at[0]);
+        // Within half a turn, so that it can go on as f32. Rounding by a cast: `round` is a call on
+        // baseline x86-64.
+        let whole = (turn / TAU + (0.5f64).copysign(turn)) as i64 as f64;
+        let mut turns = f32x4::splat((turn - whole * TAU) as f32);
+        for (sign, (turn, [s, t])) in [-1.0, 1.0].into_iter().zip(self.turns.iter().zip(steps)) {
+            let turn = turn.as_vec2() * sign;
+            turns += s * turn.x + t * turn.y;
+        }
+        let (sin, cos) = turns.sin_cos();
+        let layer = |offset: DVec2| {
+            let [a, b] = [0, 1].map(|i| {
+                let [s, t] = steps[i];
+                let (amplitude, kept) = self.strips[i].amplitudes(at[i] + offset, s, t, count);
+                let gain = f32x4::ONE / kept.sqrt();
+                amplitude.map(|part| part * gain)
+            });
+            let re = a[0] + b[0] * cos - b[1] * sin;
+            let im = a[1] + b[0] * sin + b[1] * cos;
+            re * re + im * im
+        };
+        let mut sum = self.first_weight() * layer(DVec2::ZERO);
+        for &(weight, offset) in &self.strips[0].further_layers {
             sum += weight * layer(offset);
         }
         sum

@@ -108,6 +108,20 @@ fn strips_read_at_one_place_are_the_field() {
                 let (a, b) = (field.intensity(p), sum.intensity([p; 2]));
                 assert!((a - b).abs() < 1e-4 * (1.0 + a), "{u} {p}: {a} {b}");
             }
+            // Four at a time: places are rounded to 2⁻¹⁶ of a texel, and the turn to f32's last digits.
+            for p in grid(144).step_by(197) {
+                let off = [[0.3, -2.5, 7.9, 0.0], [-7.9, 1.25, 0.5, 0.0]];
+                let steps = off.map(wide::f32x4::from);
+                let four = sum.around([p, p + 5.0], [steps; 2], 4).to_array();
+                for (i, found) in four.into_iter().enumerate() {
+                    let by = DVec2::new(off[0][i] as f64, off[1][i] as f64);
+                    let one = sum.intensity([p + by, p + 5.0 + by]);
+                    assert!(
+                        (found - one).abs() < 5e-4 * (1.0 + one),
+                        "{p} {i}: {found} {one}"
+                    );
+                }
+            }
         }
     }
 }
