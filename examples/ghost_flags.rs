@@ -115,6 +115,7 @@ fn measured(shape: &str, metal: &str, seed: u64) -> Tally {
     let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
     let text = format!(
         "seed = {seed}
+speckle = true
 
 [part]
 mesh = {{ file = \"part.obj\", unit = \"mm\" }}
