@@ -4,8 +4,9 @@
 //!     cargo run --release --example ghost_flags -- development   # scenes that may be looked at
 //!     cargo run --release --example ghost_flags -- held-out      # scenes that the rule was not made on
 //!
-//! Prints a table and writes `target/ghost_flags.svg`, good points flagged over reflections found. With
-//! `scenes`, the good points of the repository's scenes that have the flag. Seeds after it replace those of the set.
+//! Prints a table, and writes it with a chart of good points flagged over reflections found: of held-out scenes
+//! `docs/ghosts.md` and `docs/ghosts.svg`, else both to `target/`. With `scenes`, the good points of the repository's
+//! scenes that have the flag. Seeds after it replace those of the set.
 
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::profile::Flags;
@@ -33,10 +34,24 @@ fn main() {
         ("scenes", _) => return scenes(),
         _ => panic!("expected development, held-out or scenes"),
     };
-    println!(
-        "| {set} | points | reflections | found | good flagged | alone in their column, of reflections | of these found |"
+    let seeds_named = seeds
+        .iter()
+        .map(u64::to_string)
+        .collect::<Vec<_>>()
+        .join(", ");
+    let mut page = format!(
+        "# Reflections found by their flag, and good points flagged\n\n\
+         Made by `cargo run --release --example ghost_flags -- {set}`, of seeds {seeds_named}. A reflection is a point with \
+         less than half of its light reflected once.\n\n\
+         ![Good points flagged over reflections found](ghosts.svg)\n\n\
+         | {set} | points | reflections | found | good flagged | alone in their column, of reflections | of these found |\n\
+         |---|---|---|---|---|---|---|\n"
     );
-    println!("|---|---|---|---|---|---|---|");
+    print!("{page}");
+    let mut row = |text: String| {
+        println!("{text}");
+        page += &(text + "\n");
+    };
     let mut all = Tally::default();
     let mut marks = Vec::new();
     for shape in SHAPES {
@@ -45,13 +60,18 @@ fn main() {
             for &seed in &seeds {
                 tally.add(&measured(shape, metal, seed));
             }
-            println!("| {shape}, {metal} {tally}");
+            row(format!("| {shape}, {metal} {tally}"));
             marks.push((format!("{shape}, {metal}"), tally.found(), tally.flagged()));
             all.add(&tally);
         }
     }
-    println!("| **all** {all}");
-    std::fs::write("target/ghost_flags.svg", chart(&set, &marks)).expect("target/ of the project");
+    row(format!("| **all** {all}"));
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(match &*set {
+        "held-out" => "docs",
+        _ => "target",
+    });
+    std::fs::write(folder.join("ghosts.md"), page).expect("a folder of the project");
+    std::fs::write(folder.join("ghosts.svg"), chart(&set, &marks)).expect("the same");
 }
 
 /// Points by what they are, and which of them have the flag.
@@ -115,6 +135,7 @@ fn measured(shape: &str, metal: &str, seed: u64) -> Tally {
     let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
     let text = format!(
         "seed = {seed}
+speckle = true
 
 [part]
 mesh = {{ file = \"part.obj\", unit = \"mm\" }}

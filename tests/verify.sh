@@ -133,7 +133,7 @@ for target in stl ply obj scene poses calibration png; do
 done
 
 name='light reflected more than once, against Mitsuba 3'
-command='python3 tests/mitsuba.py target/release/lasertrace out/verify/mitsuba'
+command='python3 tests/against_mitsuba.py target/release/lasertrace out/verify/mitsuba'
 goal='totals and rows of corners, a pocket and a real part within 1 % and 5 standard errors'
 if [ "$page" = "$out/small.md" ]; then
     skip "$name" "$goal" 'not in the small form' "$command"

@@ -29,17 +29,18 @@ impl Sequence {
     }
 }
 
-/// The second dimension of Sobol's sequence: binomial coefficients modulo 2.
-fn second(mut index: u32) -> u32 {
-    let (mut bits, mut column) = (0, 1 << 31);
-    while index != 0 {
-        if index & 1 == 1 {
-            bits ^= column;
-        }
-        index >>= 1;
-        column ^= column >> 1;
-    }
-    bits
+/// The second dimension of Sobol's sequence: binomial coefficients modulo 2. As bits are the coefficients of a polynomial
+/// of x, they become those of x + 1, of which (x + 1)²ᵏ is x²ᵏ + 1 modulo 2.
+fn second(index: u32) -> u32 {
+    let halves = [
+        (1, 0x5555_5555),
+        (2, 0x3333_3333),
+        (4, 0x0f0f_0f0f),
+        (8, 0x00ff_00ff),
+        (16, 0x0000_ffff),
+    ];
+    let shifted = |bits: u32, (by, low): (u32, u32)| bits ^ (bits >> by & low);
+    halves.into_iter().fold(index, shifted).reverse_bits()
 }
 
 /// Each bit turned by a hash of those above it.

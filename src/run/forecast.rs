@@ -16,6 +16,8 @@ use std::time::Instant;
 
 /// Frames of those with light that are taken for a forecast.
 const FRAMES: u32 = 3;
+/// Seconds after which no further one is taken: frames that slow differ by less than they take.
+const ENOUGH: f64 = 2.0;
 /// Frames of which it is asked how many of the sensor's columns may be lit.
 const FRAMES_ASKED: u32 = 256;
 
@@ -103,9 +105,11 @@ fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Res
         .partition(|&(_, columns)| columns > 0);
     let mut all = Taken::default();
     for (kind, most) in [(lit, FRAMES), (dark, 1)] {
-        let (mut sample, mut columns) = (Taken::default(), 0);
-        let chosen = spread_frames(kind.len() as u32, most);
-        for &i in &chosen {
+        let (mut sample, mut columns, mut count) = (Taken::default(), 0, 0);
+        for i in spread_frames(kind.len() as u32, most) {
+            if sample.seconds > ENOUGH {
+                break;
+            }
             control.check()?;
             let (frame, lit) = kind[i as usize];
             let start = Instant::now();
@@ -114,8 +118,9 @@ fn taken(simulation: &Simulation, frames: &Range<u32>, control: &Control) -> Res
             sample.points += content.points.len() as f64;
             sample.bytes += content.image.map_or(0, |image| image.len()) as f64;
             columns += lit;
+            count += 1;
         }
-        let by_number = share * kind.len() as f64 / chosen.len().max(1) as f64;
+        let by_number = share * kind.len() as f64 / count.max(1) as f64;
         let all_columns: usize = kind.iter().map(|(_, columns)| columns).sum();
         let by_columns = match columns {
             0 => by_number,

@@ -20,33 +20,37 @@ const FRAMES: u32 = 16;
 const PATHS: u32 = 4096;
 /// Share of the light met again whose further reflections are not followed.
 const REST: f64 = 1e-3;
-/// Frames, of those with most of it, whose noise is measured.
-const MEASURED: usize = 2;
+/// Frames, evenly spread over those with such light, whose noise is measured.
+const MEASURED: u32 = 4;
 /// Independent images of each, and the paths from the laser that each takes.
 const IMAGES: u64 = 4;
 const PILOT: u32 = 1 << 15;
+/// Times as many for the frame with most noise, if these are too few by more than that: noise of few paths lies in
+/// places that one of them met, and falls faster than their number says.
+const SECOND_PILOT: u32 = 8;
 /// Side of the squares of pixels over which noise is averaged: 192 degrees of freedom of IMAGES images know it to
 /// 10 %.
 const SIDE: usize = 8;
-/// Noise of paths over the sensor's own, at most: together they are then 12 % more than the sensor's.
-const NOISE: f64 = 0.5;
+/// Noise of paths over the sensor's own, at most.
+const NOISE: f64 = 1.0;
 /// Share of the squares in which it may be more.
 const BEYOND: f64 = 0.01;
 /// Paths from the laser, at least and at most.
 const LEAST: u32 = 1 << 12;
-const MOST: u32 = 1 << 24;
-/// Roughness from which on paths from the laser find all that the camera sees; below, lobes are too narrow to be
-/// met by chance.
-const ROUGH: f64 = 0.3;
-/// Time of a path from the laser and of one from the camera, ns of one core.
-const PATH_NS: f64 = 4e3;
-const CAMERA_PATH_NS: f64 = 1.5e4;
+const MOST: u32 = 1 << 22;
+/// Roughness from which on paths from the laser alone have less noise than as much time shared with paths from the
+/// camera; below, lobes are too narrow to be met by chance.
+const ROUGH: f64 = 0.05;
+/// Time of a path from the laser and of one from the camera, ns of one core: of matt and metal parts of few
+/// triangles, to a factor of two.
+const PATH_NS: f64 = 2e3;
+const CAMERA_PATH_NS: f64 = 4e3;
 
 /// What of the laser's light meets the part again after it was reflected once.
 pub(crate) struct MetAgain {
     /// Of that which meets it at all, the largest of frames; `None` of matt parts for which nobody asked.
     share: Option<f64>,
-    /// Frames with most of it.
+    /// Some of those that have it.
     frames: Vec<u32>,
 }
 
@@ -67,12 +71,14 @@ impl MetAgain {
             let share = if first > 0.0 { again / first } else { 0.0 };
             (share, frame)
         };
-        let mut shares: Vec<(f64, u32)> = frames.par_iter().map(share).collect();
-        shares.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let some = shares.iter().filter(|(share, _)| *share > 0.0);
+        let shares: Vec<(f64, u32)> = frames.par_iter().map(share).collect();
+        let with: Vec<u32> = (shares.iter().filter(|(share, _)| *share > 0.0))
+            .map(|&(_, frame)| frame)
+            .collect();
+        let some = spread_frames(with.len() as u32, MEASURED);
         Ok(MetAgain {
-            share: Some(shares.first().map_or(0.0, |(share, _)| *share)),
-            frames: some.take(MEASURED).map(|&(_, frame)| frame).collect(),
+            share: Some(shares.iter().fold(0.0, |most, (share, _)| share.max(most))),
+            frames: some.into_iter().map(|i| with[i as usize]).collect(),
         })
     }
 
@@ -161,12 +167,16 @@ impl MetAgain {
                 false => 0.0,
             },
         };
-        let plan = Plan {
-            reflections: Some(pilot),
-            ..silent(plan)
+        let times = |times: f64| Reflections {
+            from_laser: (times * PILOT as f64) as u32,
+            per_pixel: times * pilot.per_pixel,
+            ..pilot
         };
-        let mut ratios = Vec::new();
-        for &frame in &self.frames {
+        let noise = |frame: u32, reflections: Reflections| -> Result<f64> {
+            let plan = Plan {
+                reflections: Some(reflections),
+                ..silent(plan)
+            };
             let images = (0..IMAGES).map(|seed| {
                 let scene = Scene {
                     seed,
@@ -175,21 +185,29 @@ impl MetAgain {
                 let simulation = Simulation::with_plan(&scene, accel.clone(), plan.clone())?;
                 Ok(simulation.ghosts(frame))
             });
-            ratios.extend(noise_ratios(scene, &images.collect::<Result<Vec<_>>>()?));
-        }
-        ratios.sort_by(f64::total_cmp);
-        let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
-        let ratio = ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0);
-        // The variance of stratified paths falls at least as their number grows.
-        let needed = (PILOT as f64 * (ratio / NOISE).powi(2)).clamp(LEAST as f64, MOST as f64);
-        let from_laser = (needed as u32).next_power_of_two();
-        let times = from_laser as f64 / PILOT as f64;
-        let reflections = Reflections {
-            from_laser,
-            per_pixel: pilot.per_pixel * times,
-            ..pilot
+            let mut ratios = noise_ratios(scene, &images.collect::<Result<Vec<_>>>()?);
+            ratios.sort_by(f64::total_cmp);
+            let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
+            Ok(ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0))
         };
-        Ok((reflections, ratio / times.sqrt()))
+        let mut most_noise = (0.0, self.frames[0]);
+        for &frame in &self.frames {
+            let ratio = noise(frame, pilot)?;
+            if ratio > most_noise.0 {
+                most_noise = (ratio, frame);
+            }
+        }
+        let (mut ratio, frame) = most_noise;
+        let mut measured = 1.0;
+        if (ratio / NOISE).powi(2) > SECOND_PILOT as f64 {
+            measured = SECOND_PILOT as f64;
+            ratio = noise(frame, times(measured))?;
+        }
+        // The variance of stratified paths falls at least as their number grows.
+        let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
+        let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
+        let chosen = needed as f64 / PILOT as f64;
+        Ok((times(chosen), ratio * (measured / chosen).sqrt()))
     }
 }
 
