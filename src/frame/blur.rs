@@ -167,7 +167,8 @@ fn sum_of<T: Copy + Default + AddAssign + Send + Sync>(
             for (tile, part) in tiles.iter().zip(parts) {
                 let all = tile.around();
                 let around = all.within(&rows.pixels);
-                if !around.rows.contains(&(row as isize)) {
+                // A tile beyond the sensor's edge has no columns on it.
+                if !around.rows.contains(&(row as isize)) || around.columns.is_empty() {
                     continue;
                 }
                 let first = (row as isize - all.rows.start) as usize * all.columns.len();
