@@ -159,3 +159,34 @@ fn shuffle(values: &mut [u16], key: Key) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::Purpose;
+
+    /// Of the values 0 to 19, put in order 40 000 times, each is equally often at each place, and so is each pair of
+    /// values at the first two: 400 and 380 numbers of which 2000 and 105 are expected. χ² of k numbers has a
+    /// mean of at most k and a standard deviation of √(2k); six of these on top are passed with a chance
+    /// below 1e-6.
+    #[test]
+    fn all_orders_are_equally_likely() {
+        let (values, times) = (20, 40_000);
+        let (mut places, mut pairs) = (vec![0.0; 400], vec![0.0; 400]);
+        for i in 0..times {
+            let mut order: Vec<u16> = (0..values).collect();
+            shuffle(&mut order, Key::new(3, Purpose::SensorNoise).with(i));
+            for (place, &value) in order.iter().enumerate() {
+                places[place * 20 + value as usize] += 1.0;
+            }
+            pairs[usize::from(order[0] * values + order[1])] += 1.0;
+        }
+        for (found, k) in [(places, 400.0), (pairs, 380.0)] {
+            // Of k numbers alike, one is in each of k ways.
+            let all: f64 = found.iter().sum();
+            let off = |n: &f64| (n - all / k).powi(2) / (all / k);
+            let chi2: f64 = found.iter().filter(|&&n| n > 0.0).map(off).sum();
+            assert!(chi2 < k + 6.0 * f64::sqrt(2.0 * k), "{chi2} {k}");
+        }
+    }
+}

@@ -4,7 +4,8 @@ use crate::accel::{Accel, Ray, WIDTH};
 use crate::camera::Counts;
 use crate::math::{Aabb, DVec3};
 use base64::Engine;
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 
 fn encode(samples: &[u8], width: usize, height: usize, color: ExtendedColorType) -> Vec<u8> {
@@ -26,10 +27,20 @@ pub(super) fn data_url(png: &[u8]) -> String {
 /// PNG of 16-bit sensor counts as they are.
 pub fn encode_counts(counts: &Counts) -> Vec<u8> {
     // The encoder takes native-endian samples and swaps them itself.
-    let samples = counts.to_rows();
-    let samples: Vec<u8> = samples.iter().flat_map(|c| c.to_ne_bytes()).collect();
-    let (width, height) = (counts.columns(), counts.rows());
-    encode(&samples, width, height, ExtendedColorType::L16)
+    let samples: Vec<[u8; 2]> = (counts.to_rows().iter().map(|c| c.to_ne_bytes())).collect();
+    let (width, height) = (counts.columns() as u32, counts.rows() as u32);
+    let mut png = Vec::new();
+    // Of a line on noise the best filter of each row makes files some 3 % smaller than this one, and takes twice
+    // the time.
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Up)
+        .write_image(
+            samples.as_flattened(),
+            width,
+            height,
+            ExtendedColorType::L16,
+        )
+        .expect("writing to memory does not fail");
+    png
 }
 
 /// Counts for people: 8 bits, gamma 2.2, so that faint light shows.
