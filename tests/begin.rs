@@ -27,7 +27,14 @@ fn three_commands_measure_the_top_of_a_part() {
     let (code, page, stderr) = run(folder.path(), &["check", "first/scene.toml"]);
     assert_eq!((code, stderr.as_str()), (0, ""));
     assert!(page.contains("No warnings"), "{page}");
-    let scan = ["scan", "first/scene.toml", "--geometry-only", "--json", "-o", "out"];
+    let scan = [
+        "scan",
+        "first/scene.toml",
+        "--geometry-only",
+        "--json",
+        "-o",
+        "out",
+    ];
     let (code, json, stderr) = run(folder.path(), &scan);
     assert_eq!(code, 0, "{stderr}");
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
@@ -35,7 +42,12 @@ fn three_commands_measure_the_top_of_a_part() {
     println!("measured {measured:.4} of the surface");
     assert!((0.3..0.34).contains(&measured), "{measured}");
 
-    assert_error(folder.path(), &begin, 64, &["first/scene.toml is there already"]);
+    assert_error(
+        folder.path(),
+        &begin,
+        64,
+        &["first/scene.toml is there already"],
+    );
     let missing = ["begin", "part.obj", "none.toml", "-o", "second"];
     assert_error(folder.path(), &missing, 74, &["none.toml"]);
     let metres = [&begin[..4], &["metres", "--unit", "m"]].concat();
