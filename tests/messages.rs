@@ -139,6 +139,26 @@ const MISTAKES: &[Case] = &[
         &["camera.binning: found 4, expected fewer pixels or bits: their sum has 18 bits"],
     ),
     case(
+        "one of several exposures is given",
+        &[("exposure_ms = 0.01", "exposures_ms = [0.01]")],
+        &["camera.exposures_ms: found [0.01], expected 2 to 4 different exposures"],
+    ),
+    case(
+        "several exposures stand beside one",
+        &[(
+            "exposure_ms = 0.01",
+            "exposure_ms = 0.01\nexposures_ms = [0.01, 0.1]",
+        )],
+        &["camera.exposures_ms: found [0.01, 0.1], expected exposures_ms alone"],
+    ),
+    case(
+        "merged counts are too high",
+        &[("exposure_ms = 0.01", "exposures_ms = [0.01, 10]")],
+        &[
+            "camera.exposures_ms: found [0.01, 10], expected a shortest exposure at which full scale stays below 65536",
+        ],
+    ),
+    case(
         "a housing's corners are swapped",
         &[(
             "[part]\n",

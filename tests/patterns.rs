@@ -141,6 +141,30 @@ fn repeatability_is_what_another_image_draws_anew() {
     }
 }
 
+/// A line six times as bright, whose middle is full in the longest of three exposures and in part in the next: what is stated is of a Gaussian
+/// line, and leaves out that read noise counts r² times beside r times the shot noise, 1 % of the standard deviation here. Bounds as above.
+#[test]
+fn shorter_exposures_are_in_the_repeatability() {
+    let mut scene = speckled("", false);
+    scene.laser.beam.power_mw = 6.0;
+    let single = Simulation::new(&scene).unwrap();
+    let full = single.peaks(&single.image(0)).0;
+    assert!(full.iter().all(|peak| !peak.flags.is_empty()));
+    scene.camera.sensor.shorter = vec![4.0, 12.5];
+    let merged = Simulation::new(&scene).unwrap();
+    let (peaks, errors) = merged.peaks(&merged.image(0));
+    let (first, last) = (peaks[150], peaks[230]);
+    println!(
+        "{} counts high, {} px stated",
+        first.height, errors[150].noise
+    );
+    assert!(first.flags.is_empty() && last.flags.is_empty());
+    assert!(first.height > 2.0 * 4000.0, "{}", first.height);
+    let ratio = repeated_over_stated(&scene);
+    println!("merged: {ratio:.4}");
+    assert!((ratio - 1.0).abs() < 0.05, "{ratio}");
+}
+
 /// Of two frames of the same place, differences are temporal and the mean keeps the pattern; of
 /// another seed the pattern is another. Correlations of n = 122 880 pixels scatter by 1/√n = 0.003.
 #[test]

@@ -322,6 +322,7 @@ mod tests {
             resolution: UVec2::new(4, 4),
             pixel_pitch: 0.005,
             exposure_ms: 2.0,
+            shorter: Vec::new(),
             quantum_efficiency: 0.6,
             gain_dn_per_e: 0.25,
             bit_depth: 8,

@@ -43,5 +43,7 @@ pub use find::{CANDIDATE_SHARE, find_peaks};
 pub use flags::{NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, weigh};
 pub use peak::{Choice, Flags, Peak, PeakFinder, PeakSettings};
 pub use slope::JUMP_SIGMAS;
-pub use uncertainty::{ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, RowError};
+pub use uncertainty::{
+    ErrorModel, LARGEST_LIGHT_VARIANCE, LARGEST_SHAPE_VARIANCE, Merged, RowError,
+};
 pub use variances::{SIGMAS_PX, SpeckleGrain};

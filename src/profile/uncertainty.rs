@@ -53,6 +53,15 @@ pub struct RowError {
     pub(super) keeps_light: bool,
 }
 
+/// An exposure that pixels are taken from where the next longer one is full.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Merged {
+    /// Counts above background from which on it is taken.
+    pub from_dn: f64,
+    /// The longest exposure over it: its shot noise has as many times the variance.
+    pub ratio: f64,
+}
+
 /// Predicts the standard uncertainty of the rows of peaks.
 ///
 /// To first order a finder moves by Σ w_i·δ_i if the light of pixel i, of Gaussian
@@ -86,6 +95,7 @@ pub struct ErrorModel {
     gain_dn_per_e: f64,
     prnu: f64,
     fixed_share: f64,
+    merged: Vec<Merged>,
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
@@ -106,6 +116,7 @@ impl ErrorModel {
             gain_dn_per_e,
             prnu: 0.0,
             fixed_share: 0.0,
+            merged: Vec::new(),
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
@@ -141,6 +152,11 @@ impl ErrorModel {
             fixed_share,
             ..self
         }
+    }
+
+    /// The same for images of several exposures, in rising order.
+    pub fn with_exposures(self, merged: Vec<Merged>) -> ErrorModel {
+        ErrorModel { merged, ..self }
     }
 
     /// The same for light without shot noise.
@@ -240,7 +256,21 @@ impl ErrorModel {
             _ => at.shot,
         };
         let drawn = peak.noise.powi(2) - self.fixed(peak);
-        shot * self.gain_dn_per_e / n + at.white * drawn / (n * n)
+        shot * self.shorter_exposures(peak) * self.gain_dn_per_e / n + at.white * drawn / (n * n)
+    }
+
+    /// What shorter exposures make of the shot noise of a line whose middle they are for: Σ(r_k − r_(k−1))·(erf u − 2u·e^(−u²)/√π), of a Gaussian the
+    /// share of Σ w²·G that lies where it is higher than the k-th begins, u² = ln(height/from).
+    fn shorter_exposures(&self, peak: &Peak) -> f64 {
+        let mut before = 1.0;
+        let added = self.merged.iter().map(|merged| {
+            let more = merged.ratio - before;
+            before = merged.ratio;
+            let u = (peak.height / merged.from_dn).max(1.0).ln().sqrt();
+            let share = libm::erf(u) - 2.0 * u * (-u * u).exp() / std::f64::consts::PI.sqrt();
+            more * share
+        });
+        1.0 + added.sum::<f64>()
     }
 
     /// Square of the background's noise that is the same in every image, counts².

@@ -151,7 +151,7 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
         short(lens.focal_length),
         short(lens.f_number),
         short(lens.focus_distance),
-        short(sensor.exposure_ms)
+        exposures(sensor)
     );
     let plan = &checked.plan;
     line("laser", &laser)
@@ -168,6 +168,19 @@ fn sensor(scene: &Scene, checked: &Checked) -> String {
                 plan.grain
             ),
         )
+}
+
+/// One, or from the longest to the shortest.
+fn exposures(sensor: &Sensor) -> String {
+    let shorter = sensor
+        .shorter
+        .iter()
+        .map(|ratio| sensor.exposure_ms / ratio);
+    let all: Vec<String> = std::iter::once(sensor.exposure_ms)
+        .chain(shorter)
+        .map(short)
+        .collect();
+    all.join(", ")
 }
 
 fn path(scene: &Scene) -> String {
@@ -272,15 +285,13 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
         ),
     };
     text += &line("part in the field", &in_field(figures));
-    let Sensor {
-        exposure_ms,
-        readout_ms,
-        resolution,
-        ..
-    } = &scene.camera.sensor;
-    let limit = match readout_ms > exposure_ms {
-        false => "the exposure".to_owned(),
-        true => format!("reading {} rows", resolution.y),
+    let sensor = &scene.camera.sensor;
+    let readouts = 1 + sensor.shorter.len();
+    let by_readout = readouts as f64 * sensor.readout_ms > sensor.all_exposures_ms();
+    let limit = match (by_readout, readouts) {
+        (false, 1) => "the exposure".to_owned(),
+        (false, n) => format!("{n} exposures"),
+        (true, n) => format!("reading {} rows", n * sensor.resolution.y as usize),
     };
     let rate = short(figures.profiles_per_second);
     text += &line("profiles", &format!("at most {rate} a second, by {limit}"));

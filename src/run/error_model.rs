@@ -1,9 +1,9 @@
 //! What data sheets of a scene's laser and camera tell of its points.
 
-use crate::camera::Camera;
+use crate::camera::{Camera, Sensor};
 use crate::frame::Blur;
 use crate::math::Rigid;
-use crate::profile::{Blurred, Calibration, ErrorModel, SpeckleGrain};
+use crate::profile::{Blurred, Calibration, ErrorModel, Merged, SpeckleGrain};
 use crate::scene::Scene;
 
 /// What data sheets of the scene's laser and camera tell of the errors of peaks, in images with such
@@ -24,6 +24,7 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
     let fixed_share = (noise.dsnu_e / sensor.dark_noise_e().hypot(rounding_e)).powi(2);
     let model =
         ErrorModel::new(scene.measure.finder, shot, grain).with_patterns(noise.prnu, fixed_share);
+    let model = model.with_exposures(merged(sensor));
     match grain.filter(|_| blur != Blur::None) {
         None => model,
         Some(grain) => model.behind_lens(Blurred::new(
@@ -32,6 +33,17 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
             grain,
         )),
     }
+}
+
+/// From which counts on shorter exposures are taken.
+fn merged(sensor: &Sensor) -> Vec<Merged> {
+    let full = sensor.full_scale() - sensor.black_level_dn;
+    let before = std::iter::once(1.0).chain(sensor.shorter.iter().copied());
+    let of = |(before, &ratio): (f64, &f64)| Merged {
+        from_dn: full * before,
+        ratio,
+    };
+    before.zip(&sensor.shorter).map(of).collect()
 }
 
 /// The true values of a scene's sensor.

@@ -157,7 +157,8 @@ impl Simulation {
         let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
         let of_laser = self.plan.line_half_width_px / 2.0;
         let sigma = of_laser.hypot(self.errors.spread(pixel).sqrt());
-        let height = (electrons * of_laser / sigma).min(sensor.full_well_e) * sensor.gain_dn_per_e;
+        let full = f64::from(sensor.saturation_count()) - sensor.black_level_dn;
+        let height = (electrons * of_laser / sigma * sensor.gain_dn_per_e).min(full);
         let dark = sensor.dark_noise_e() * sensor.gain_dn_per_e;
         Peak {
             column: point.column,

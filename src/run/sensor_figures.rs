@@ -125,7 +125,8 @@ impl SensorFigures {
             places,
             profiles_per_second: {
                 let sensor = &scene.camera.sensor;
-                1e3 / sensor.exposure_ms.max(sensor.readout_ms)
+                let readouts = (1 + sensor.shorter.len()) as f64;
+                1e3 / sensor.all_exposures_ms().max(readouts * sensor.readout_ms)
             },
             housing_mm: scene.housing.map(|housing| {
                 let housing = housing.moved(&scene.head_from_laser.inverse());

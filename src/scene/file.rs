@@ -343,6 +343,9 @@ pub struct CameraTable {
     pub distortion: Option<DistortionTable>,
     /// Without `exposure` it must be given.
     pub exposure_ms: Option<f64>,
+    /// Several exposures of one place, in place of `exposure_ms`: where a longer one is full a pixel has the count of the next shorter one, times
+    /// their ratio.
+    pub exposures_ms: Option<Vec<f64>>,
     /// `auto`, in place of `exposure_ms`: such that the line's middle reaches `exposure_share` of full scale
     /// where the part is bright.
     pub exposure: Option<AutoExposure>,

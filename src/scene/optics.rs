@@ -135,6 +135,15 @@ impl Resolver<'_> {
             "camera.exposure_share",
             "a share above 0 and at most 1",
         )?;
+        let given = [
+            table.exposure_ms.is_some(),
+            table.exposures_ms.is_some(),
+            table.exposure.is_some(),
+        ];
+        let alone =
+            given.iter().filter(|given| **given).count() < 2 || table.exposures_ms.is_none();
+        let expected = "exposures_ms alone, without exposure_ms and exposure";
+        self.check(alone, "camera.exposures_ms", expected)?;
         match (table.exposure_ms, table.exposure) {
             (Some(_), Some(AutoExposure::Auto)) => {
                 let expected = "exposure_ms or exposure = \"auto\", not both";
@@ -253,7 +262,9 @@ impl Resolver<'_> {
             "camera.bit_depth",
             "from 8 to 16",
         )?;
-        let exposure_ms = match (table.exposure_ms, table.exposure, frame_rate_hz) {
+        let several = self.exposures(table)?;
+        let exposure_ms = several.first().copied().or(table.exposure_ms);
+        let exposure_ms = match (exposure_ms, table.exposure, frame_rate_hz) {
             (Some(exposure_ms), ..) => positive(exposure_ms, "exposure_ms")?,
             (None, Some(AutoExposure::Auto), rate) => match rate {
                 Some(rate) if rate > 0.0 => (1e3 / rate).min(1.0),
@@ -268,6 +279,7 @@ impl Resolver<'_> {
             readout_ms: frame_ms * f64::from(rows) / f64::from(all_rows),
             pixel_pitch: positive(table.pixel_pitch_um, "pixel_pitch_um")? * 1e-3,
             exposure_ms,
+            shorter: several.iter().skip(1).map(|ms| exposure_ms / ms).collect(),
             quantum_efficiency: efficiency,
             gain_dn_per_e: positive(table.gain_dn_per_e, "gain_dn_per_e")?,
             bit_depth: table.bit_depth,
@@ -275,7 +287,28 @@ impl Resolver<'_> {
             black_level_dn: self.not_negative(table.black_level_dn, "black_level_dn")?,
             noise: self.noise(table)?,
         };
-        self.binned(sensor, table)
+        let sensor = self.binned(sensor, table)?;
+        let full = (sensor.full_scale() - sensor.black_level_dn) * sensor.longest_over_shortest()
+            + sensor.black_level_dn;
+        let expected = format!(
+            "a shortest exposure at which full scale stays below 65536: with these it is {full:.0}"
+        );
+        self.check(full < 65_536.0, "camera.exposures_ms", &expected)?;
+        Ok(sensor)
+    }
+
+    /// From the longest to the shortest; none where one is given, or left to the light.
+    fn exposures(&self, table: &CameraTable) -> Result<Vec<f64>> {
+        let mut all = table.exposures_ms.clone().unwrap_or_default();
+        for &exposure in &all {
+            self.positive(exposure, "camera.exposures_ms")?;
+        }
+        all.sort_by(|a, b| b.total_cmp(a));
+        all.dedup();
+        let expected = "2 to 4 different exposures";
+        let holds = table.exposures_ms.is_none() || (2..=4).contains(&all.len());
+        self.check(holds, "camera.exposures_ms", expected)?;
+        Ok(all)
     }
 
     /// The sensor whose pixels are read as squares of several.

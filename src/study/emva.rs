@@ -99,6 +99,8 @@ pub fn emva(
     scene.seed = seed.unwrap_or(scene.seed);
     let wavelength = scene.laser.beam.wavelength;
     let camera = &mut scene.camera.sensor;
+    // The standard measures a single one.
+    camera.shorter.clear();
     camera.resolution = camera.resolution.min(glam::UVec2::splat(LARGEST_SIDE));
     let Some(noise) = camera.noise else {
         let expected = "a sensor with noise: without it there is nothing to find";

@@ -22,6 +22,7 @@ pub fn camera() -> Camera {
             readout_ms: 0.0,
             pixel_pitch: 0.0055,
             exposure_ms: 1.0,
+            shorter: Vec::new(),
             quantum_efficiency: 0.5,
             gain_dn_per_e: 0.1,
             bit_depth: 12,
