@@ -89,6 +89,11 @@ impl JobFolder {
         self.0.join("out")
     }
 
+    /// Folder of the live view of the job's scene.
+    pub fn view(&self) -> JobFolder {
+        JobFolder(self.0.join("view"))
+    }
+
     pub fn result_file(&self) -> PathBuf {
         self.0.join("result.json")
     }

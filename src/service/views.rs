@@ -22,11 +22,6 @@ use tracing::info;
 const LOOK: Duration = Duration::from_millis(50);
 const SOCKET: &str = "view.sock";
 
-/// The folder of a job's view.
-pub fn folder(job: &JobFolder) -> JobFolder {
-    JobFolder(job.0.join("view"))
-}
-
 /// What the view of a job's scene answers to `page`, with what stands behind its `?`. Starts the view if there is none.
 ///
 /// # Errors
@@ -57,7 +52,7 @@ async fn connected(
     service: &Arc<Service>,
     job: &JobFolder,
 ) -> std::result::Result<UnixStream, Refusal> {
-    let view = folder(job);
+    let view = job.view();
     let socket = view.0.join(SOCKET);
     if let Ok(stream) = UnixStream::connect(&socket).await {
         return Ok(stream);

@@ -7,7 +7,6 @@ use super::refusal::Refusal;
 use super::shared::Service;
 use super::slots::ROOM;
 use super::upload::on_disk;
-use super::views;
 use crate::error::{Error, Result};
 use rustix::process::Signal;
 use std::fs::File;
@@ -116,7 +115,7 @@ async fn work(service: Arc<Service>, job: Job, slot: OwnedSemaphorePermit) {
 
 /// Removes a job's folder; a view of its scene ends first.
 pub async fn remove(folder: &JobFolder) {
-    stop(&views::folder(folder)).await;
+    stop(&folder.view()).await;
     let folder = folder.clone();
     if let Err(error) = on_disk(move || folder.remove()).await {
         warn!("{error}");
