@@ -232,9 +232,9 @@ impl References {
             at: [DVec2::ZERO; 2],
             slopes: [DMat2::ZERO; 2],
         };
-        for i in 0..2 {
+        for (i, aside) in aside.into_iter().enumerate() {
             let then_from_now = &self.strips[i].0;
-            let then = then_from_now.point(point + aside[i]);
+            let then = then_from_now.point(point + aside);
             let per_mm = 1.0 / then.length();
             let cosines = then * per_mm;
             let slope = |step: DVec3| {

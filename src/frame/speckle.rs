@@ -309,6 +309,9 @@ pub(super) struct PixelReader<'a> {
     nearby: &'a mut Nearby,
 }
 
+/// The strips that samples of a pixel read, where its middle does, and texels by column and by row, of each strip.
+type OfStrips<'a> = (&'a StripField, [DVec2; 2], [[Vec2; 2]; 2]);
+
 impl<'a> PixelReader<'a> {
     /// Intensity, mean 1, in the pixel's middle.
     #[inline(always)]
@@ -351,11 +354,7 @@ impl<'a> PixelReader<'a> {
     /// The strips that all of these samples read, where the middle does, and texels by column and by row.
     /// `None` if they see different planes, or none.
     #[inline(always)]
-    fn of_strips(
-        &mut self,
-        seen: &[Seen],
-        count: usize,
-    ) -> Option<(&'a StripField, [DVec2; 2], [[Vec2; 2]; 2])> {
+    fn of_strips(&mut self, seen: &[Seen], count: usize) -> Option<OfStrips<'a>> {
         let Source::Strips { field, references } = &self.reader.source else {
             return None;
         };

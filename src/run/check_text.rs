@@ -259,18 +259,7 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
         short(figures.baseline_mm)
     );
     text += &line("triangulation", &angle);
-    let sharp = match figures.in_focus_mm {
-        None => "nowhere in the range: the lens's blur is wider than the line".to_owned(),
-        Some([first, last]) if first <= near && last >= far => {
-            "the whole range: the lens's blur is narrower than the line".to_owned()
-        }
-        Some([first, last]) => format!(
-            "from {} to {} mm the lens's blur is narrower than the line",
-            short(first),
-            short(last)
-        ),
-    };
-    text += &line("depth of field", &sharp);
+    text += &line("depth of field", &in_focus(figures));
     text += &match &figures.light {
         None => line("light on the part", "none that the camera sees"),
         Some(light) => line(
@@ -285,15 +274,10 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
         ),
     };
     text += &line("part in the field", &in_field(figures));
-    let sensor = &scene.camera.sensor;
-    let readouts = 1 + sensor.shorter.len();
-    let by_readout = readouts as f64 * sensor.readout_ms > sensor.all_exposures_ms();
-    let limit = match (by_readout, readouts) {
-        (false, 1) => "the exposure".to_owned(),
-        (false, n) => format!("{n} exposures"),
-        (true, n) => format!("reading {} rows", n * sensor.resolution.y as usize),
-    };
-    let rate = short(figures.profiles_per_second);
+    let (rate, limit) = (
+        short(figures.profiles_per_second),
+        slowest(&scene.camera.sensor),
+    );
     text += &line("profiles", &format!("at most {rate} a second, by {limit}"));
     text += "\n  from the laser, mm    field, mm    µm/px in x    µm/px in z    line, µm    line, px    blur, px\n";
     for place in figures.places.iter().step_by(2) {
@@ -310,6 +294,32 @@ fn sheet(figures: Option<&SensorFigures>, scene: &Scene) -> String {
         );
     }
     text
+}
+
+fn in_focus(figures: &SensorFigures) -> String {
+    let [near, far] = figures.ends();
+    match figures.in_focus_mm {
+        None => "nowhere in the range: the lens's blur is wider than the line".to_owned(),
+        Some([first, last]) if first <= near && last >= far => {
+            "the whole range: the lens's blur is narrower than the line".to_owned()
+        }
+        Some([first, last]) => format!(
+            "from {} to {} mm the lens's blur is narrower than the line",
+            short(first),
+            short(last)
+        ),
+    }
+}
+
+/// What profiles wait for.
+fn slowest(sensor: &Sensor) -> String {
+    let readouts = 1 + sensor.shorter.len();
+    let by_readout = readouts as f64 * sensor.readout_ms > sensor.all_exposures_ms();
+    match (by_readout, readouts) {
+        (false, 1) => "the exposure".to_owned(),
+        (false, n) => format!("{n} exposures"),
+        (true, n) => format!("reading {} rows", n * sensor.resolution.y as usize),
+    }
 }
 
 /// Whether the part leaves the field along the path.

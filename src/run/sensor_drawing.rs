@@ -27,15 +27,8 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     let housing = figures.housing_mm;
     let housing_from = housing.map_or(0.0, |[min, _]| min[2]);
     let top = eye_z.min(housing_from).min(0.0) - 0.03 * far;
-    let ends = figures.places.iter().flat_map(|place| place.field_mm);
     let aside = |axis: usize| housing.map(|ends| ends.map(|corner| corner[axis]));
-    let ends = ends.chain(aside(0).into_iter().flatten());
-    let field = ends.fold(0.0, |most: f64, x| most.max(x.abs()));
-    let wide = |cut: &[(f64, f64)], least: f64| {
-        let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
-        1.1 * least.max(most.min(2.0 * least))
-    };
-    let line = wide(&along, field);
+    let line = wide(&along, half_field(figures));
     let side = wide(&across, 0.3 * far).max(0.0);
     let [from, to] = aside(1).unwrap_or_default();
     let beside = [
@@ -61,17 +54,7 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         "across the line, mm",
         beside,
     );
-    seen.draw(&mut svg);
-    seen.curve(&mut svg, [(0.0, 0.0), (0.0, bottom)], LIGHT);
-    for end in [near, far] {
-        seen.curve(&mut svg, [(eye_y, eye_z), (0.0, end)], SIGHT);
-    }
-    let across = |z: f64| [(-0.004 * far, z), (0.004 * far, z)];
-    seen.band(&mut svg, &across(near), &across(far), FIELD);
-    draw_cut(&seen, &mut svg, &cuts.across_line, beside, [top, bottom]);
-    Mark::Dot.draw(&mut svg, seen.at(0.0, 0.0), "fill='#c0392b'");
-    Mark::Dot.draw(&mut svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
-
+    draw_side(&mut svg, &seen, figures, bottom);
     let front = axes(
         lefts[1],
         "Seen across the line",
@@ -79,20 +62,13 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         [-line, line],
     );
     draw_front(&mut svg, &front, figures);
-    draw_cut(
-        &front,
-        &mut svg,
-        &cuts.along_line,
-        [-line, line],
-        [top, bottom],
-    );
-    Mark::Dot.draw(&mut svg, front.at(0.0, 0.0), "fill='#c0392b'");
-
-    for (axes, along) in [(&seen, aside(1)), (&front, aside(0))] {
-        if let (Some([a, b]), Some([c, d])) = (along, aside(2)) {
-            let corners = [(a, c), (b, c), (b, d), (a, d), (a, c)];
-            axes.curve(&mut svg, corners, HOUSING);
-        }
+    let of_part = [
+        (&seen, &cuts.across_line, beside),
+        (&front, &cuts.along_line, [-line, line]),
+    ];
+    for (axes, cut, ends) in of_part {
+        draw_cut(axes, &mut svg, cut, ends, [top, bottom]);
+        Mark::Dot.draw(&mut svg, axes.at(0.0, 0.0), "fill='#c0392b'");
     }
     let mut entries = vec![
         (Mark::Line, LIGHT, "laser"),
@@ -100,11 +76,44 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         (Mark::Area, FIELD, "measured"),
         (Mark::Line, PART, "part, mid scan"),
     ];
-    if housing.is_some() {
+    if let Some([min, max]) = housing {
+        for (axes, axis) in [(&seen, 1), (&front, 0)] {
+            let ([a, b], [c, d]) = ([min[axis], max[axis]], [min[2], max[2]]);
+            let corners = [(a, c), (b, c), (b, d), (a, d), (a, c)];
+            axes.curve(&mut svg, corners, HOUSING);
+        }
         entries.push((Mark::Line, HOUSING, "housing"));
     }
     legend(&mut svg, [lefts[0], height + 115.0], [130.0, 0.0], &entries);
     svg.finish()
+}
+
+/// Half the width of field and housing along the line.
+fn half_field(figures: &SensorFigures) -> f64 {
+    let field = figures.places.iter().flat_map(|place| place.field_mm);
+    let housing = figures.housing_mm.into_iter().flatten();
+    let ends = field.chain(housing.map(|corner| corner[0]));
+    ends.fold(0.0, |most: f64, x| most.max(x.abs()))
+}
+
+/// Half the width that shows a cut, and so much at least.
+fn wide(cut: &[(f64, f64)], least: f64) -> f64 {
+    let most = cut.iter().fold(0.0, |most: f64, &(x, _)| most.max(x.abs()));
+    1.1 * least.max(most.min(2.0 * least))
+}
+
+/// What laser and camera do, seen along the line.
+fn draw_side(svg: &mut Svg, seen: &Axes, figures: &SensorFigures, bottom: f64) {
+    let [near, far] = figures.ends();
+    let [_, eye_y, eye_z] = figures.camera_mm;
+    seen.draw(svg);
+    seen.curve(svg, [(0.0, 0.0), (0.0, bottom)], LIGHT);
+    for end in [near, far] {
+        seen.curve(svg, [(eye_y, eye_z), (0.0, end)], SIGHT);
+    }
+    let across = |z: f64| [(-0.004 * far, z), (0.004 * far, z)];
+    seen.band(svg, &across(near), &across(far), FIELD);
+    Mark::Dot.draw(svg, seen.at(eye_y, eye_z), "fill='#2471a3'");
 }
 
 /// The beam from the front, and what is measured of it.

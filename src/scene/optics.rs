@@ -311,6 +311,13 @@ impl Resolver<'_> {
         Ok(all)
     }
 
+    /// mm; `None`: longer than all paths.
+    pub(super) fn coherence_length(&self, table: &LaserTable) -> Result<Option<f64>> {
+        let length = table.coherence_length_mm;
+        let checked = |length| self.positive(length, "laser.coherence_length_mm");
+        length.map(checked).transpose()
+    }
+
     /// The sensor whose pixels are read as squares of several.
     fn binned(&self, sensor: Sensor, table: &CameraTable) -> Result<Sensor> {
         let side = table.binning.unwrap_or(1);

@@ -337,10 +337,7 @@ impl Resolver<'_> {
         let part_at_rest = self.part_at_rest(&file.part)?;
         let head_from_camera = self.camera_pose(&file.camera)?;
         let laser = self.laser(&file.laser)?;
-        let coherence_length_mm = file.laser.coherence_length_mm;
-        coherence_length_mm.map_or(Ok(0.0), |length| {
-            self.positive(length, "laser.coherence_length_mm")
-        })?;
+        let coherence_length_mm = self.coherence_length(&file.laser)?;
         let head_from_laser = self.laser_pose(&file.laser, &head_from_camera)?;
         self.triangulation(&head_from_laser, &head_from_camera)?;
         let housing = self.housing(file.housing_mm)?;

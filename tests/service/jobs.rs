@@ -139,7 +139,7 @@ fn a_live_view_of_a_jobs_scene() {
     let png = served.get(&format!("{view}/picture.png?frame=2&power_mw=3.5"));
     assert!(png.body == served.results(&again)["frame-000002.png"]);
 
-    // As many views as jobs at once; rays have no scene; a scene that cannot be says why.
+    // As many views as jobs at once.
     let full = served.get(&format!("/v1/jobs/{again}/view/"));
     assert_eq!(full.status, 429, "{full:?}");
     let process = fs::read_to_string(store.path().join("jobs").join(&job).join("view/lock"));
@@ -152,6 +152,14 @@ fn a_live_view_of_a_jobs_scene() {
         204
     );
     assert!(!Path::new(&process).exists() && served.get(&format!("{view}/")).status == 404);
+}
+
+#[test]
+fn a_view_that_cannot_be_says_why() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    served.put(SQUARE.as_bytes());
+    let text = square_scene();
     let wrong = served.job("kind=frame", &text.replace("f_number = 8", "f_number = -8"));
     served.end(&wrong);
     let page = served.get(&format!("/v1/jobs/{wrong}/view/"));
