@@ -157,6 +157,16 @@ else
     row "$name" "$(tail -n 1 "$log" | tr '|' ' ')" passed "$met" "$command"
 fi
 
+name='the program built without Embree'
+command='cargo test --no-default-features --features cli --test measure --test footprint'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" passed 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086
+    try no-embree $command
+    row "$name" "$(grep -c ' \.\.\. ok$' "$log") tests passed" passed "$met" "$command"
+fi
+
 name='the tool of EMVA 1288 on simulated image sets'
 command='lasertrace emva tests/emva.toml -o out/verify/emva; python3 tests/emva.py out/verify/emva'
 goal='QE, K, read noise, full well, DSNU and PRNU within 2 % of what was put in'
