@@ -351,7 +351,7 @@ def main():
     if not chrome:
         print("Chromium: not installed, SKIPPED: no slider was dragged")
         return
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, tempfile.TemporaryDirectory() as profile:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         browser = Browser(chrome, profile)
         try:
             if "--measure" in sys.argv:
