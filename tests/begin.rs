@@ -15,7 +15,6 @@ const BOX: &str = "v 0 0 0\nv 60 0 0\nv 60 2 0\nv 0 2 0\nv 0 0 10\nv 60 0 10\nv 
 /// The near field of 18.2 mm, less a tenth, goes over 60 mm in four passes, and the range of 16 mm holds 10 mm. The top, 120 mm² of
 /// 1480, is 0.081 of the surface; of it all is measured but for what ends of lines and of the path leave out, less than a tenth.
 #[test]
-#[ignore = "a minute and more on a busy machine: cargo test --test begin -- --ignored"]
 fn three_commands_measure_the_top_of_a_part() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("part.obj"), BOX).unwrap();

@@ -76,7 +76,7 @@ fi
 
 name='500 jobs of the service, of 16 clients that send each twice'
 goal='none lost, none twice; memory does not grow with what passes through'
-command='cargo test --release --features service --test service five_hundred -- --ignored --nocapture'
+command='cargo test --release --features service --test service five_hundred -- --nocapture'
 if [ "$page" = "$out/small.md" ]; then
     skip "$name" "$goal" 'not in the small form' "$command"
 else

@@ -114,9 +114,8 @@ fn jobs_of_many_clients_are_done_once_each() {
     load(48);
 }
 
-/// `cargo test --features service --test service load -- --ignored --nocapture`, minutes.
+/// `--nocapture` prints its figures.
 #[test]
-#[ignore = "minutes"]
 fn five_hundred_jobs_of_sixteen_clients() {
     load(500);
 }
