@@ -185,20 +185,9 @@ impl Transform {
         band: &Band,
         drawn: &Drawn,
     ) -> Vec<Complex32> {
-        let mut image = Vec::new();
-        self.up(spectrum, band, drawn, |by_column, [width, height]| {
-            image = vec![Complex32::ZERO; width * height];
-            // Some columns at a time, so that what is written lies together.
-            for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
-                for (y, row) in image.chunks_mut(width).enumerate() {
-                    for (i, x) in numbers.iter().enumerate() {
-                        row[x % width] += from[i * height + y];
-                    }
-                }
-            }
-        });
-        self.each(&mut image, band.size[0] / drawn.side, FftDirection::Inverse);
-        image
+        self.up(spectrum, band, drawn, 1, |row, x, column| {
+            row[x % row.len()] += column[0];
+        })
     }
 
     /// The same of a real image: as pairs of rows, see [`Transform::forward_real`].
@@ -208,39 +197,30 @@ impl Transform {
         band: &Band,
         drawn: &Drawn,
     ) -> Vec<Complex32> {
-        let mut image = Vec::new();
-        self.up(spectrum, band, drawn, |by_column, [width, height]| {
-            image = vec![Complex32::ZERO; width * height.div_ceil(2)];
-            for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
-                for (y, pair) in image.chunks_mut(width).enumerate() {
-                    for (i, &x) in numbers.iter().enumerate() {
-                        let column = &from[i * height..][..height];
-                        let here = column[2 * y];
-                        let next = column.get(2 * y + 1).copied().unwrap_or_default();
-                        if (2 * x).is_multiple_of(band.size[0]) {
-                            pair[x % width] += Complex32::new(here.re, next.re);
-                        } else {
-                            let mirrored = (band.size[0] - x) % width;
-                            pair[x % width] += here + next * Complex32::I;
-                            pair[mirrored] += here.conj() + next.conj() * Complex32::I;
-                        }
-                    }
-                }
+        self.up(spectrum, band, drawn, 2, |pair, x, column| {
+            let width = pair.len();
+            let here = column[0];
+            let next = column.get(1).copied().unwrap_or_default();
+            if (2 * x).is_multiple_of(band.size[0]) {
+                pair[x % width] += Complex32::new(here.re, next.re);
+            } else {
+                let mirrored = (band.size[0] - x) % width;
+                pair[x % width] += here + next * Complex32::I;
+                pair[mirrored] += here.conj() + next.conj() * Complex32::I;
             }
-        });
-        let width = band.size[0] / drawn.side;
-        self.each(&mut image, width, FftDirection::Inverse);
-        image
+        })
     }
 
-    /// The columns of an image; `take` gets them, and how many columns and rows of pixels the image has.
+    /// An image of so many rows `together` in each of its own: to each `add` adds what a column of this number has in
+    /// them, and further down.
     fn up(
         &mut self,
         spectrum: &[Complex32],
         band: &Band,
         drawn: &Drawn,
-        take: impl FnOnce(&[Complex32], [usize; 2]),
-    ) {
+        together: usize,
+        add: impl Fn(&mut [Complex32], usize, &[Complex32]),
+    ) -> Vec<Complex32> {
         let [width, height] = [0, 1].map(|i| band.size[i] / drawn.side);
         let turn = |i: usize, n: usize, by: f64| {
             let (sin, cos) = (TAU * signed(i, n) * by).sin_cos();
@@ -264,8 +244,18 @@ impl Transform {
             }
         }
         self.each(&mut by_column, height, FftDirection::Inverse);
-        take(&by_column, [width, height]);
+        let mut image = vec![Complex32::ZERO; width * height.div_ceil(together)];
+        // Some columns at a time, so that what is written lies together.
+        for (from, numbers) in by_column.chunks(8 * height).zip(band.columns.chunks(8)) {
+            for (y, row) in image.chunks_mut(width).enumerate() {
+                for (column, &x) in from.chunks(height).zip(numbers) {
+                    add(row, x, &column[together * y..]);
+                }
+            }
+        }
         self.by_column = by_column;
+        self.each(&mut image, width, FftDirection::Inverse);
+        image
     }
 }
 

@@ -5,6 +5,7 @@ use super::sensor_figures::SensorFigures;
 use super::{Control, files};
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
+use crate::mesh::{UnitBy, unit_by};
 use crate::scene::{Scene, Unit};
 use glam::DQuat;
 use serde::Serialize;
@@ -54,10 +55,12 @@ pub fn begin(
         })
     });
     let (part, sensor) = (part?, sensor?);
-    let states_unit = ["glb", "gltf", "3mf"]
-        .iter()
-        .any(|kind| part.to_lowercase().ends_with(kind));
-    let unit = unit.or((!states_unit).then_some(Unit::Millimetre));
+    let file = Path::new(&part);
+    let bytes = std::fs::read(file).map_err(Error::io("read", file))?;
+    let unit = unit.or(match unit_by(file, &bytes)? {
+        UnitBy::User => Some(Unit::Millimetre),
+        UnitBy::Metres | UnitBy::File => None,
+    });
     let unit = unit.map_or(String::new(), |unit| format!(", unit = \"{unit}\""));
     let quoted = |text: String| toml::Value::String(text).to_string();
     let text = format!(

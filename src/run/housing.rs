@@ -1,5 +1,6 @@
 //! Where the sensor's housing touches the part along the path.
 
+use super::survey::spread;
 use crate::accel::Accel;
 use crate::math::{Aabb, DVec3};
 use crate::scene::Scene;
@@ -22,9 +23,8 @@ pub(crate) struct Touch {
 pub(crate) fn touch(scene: &Scene, accel: &Accel, frames: &Range<u32>) -> Option<Touch> {
     let housing = scene.housing?;
     let mesh = accel.mesh();
-    let chosen = frames.len().min(MOST_FRAMES);
-    let frame = |i: usize| frames.start + (i * (frames.len() - 1) / (chosen - 1).max(1)) as u32;
-    let near = (0..chosen).map(frame).flat_map(|frame| {
+    let chosen = spread(frames.len(), MOST_FRAMES).map(|i| frames.start + i as u32);
+    let near = chosen.flat_map(|frame| {
         let head_from_part = scene.part_from_head(frame).inverse();
         accel
             .poses()

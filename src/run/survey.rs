@@ -168,7 +168,7 @@ fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
 }
 
 /// `most` of `count` places or all of them, evenly spread, first and last among them.
-fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
+pub(crate) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let chosen = count.min(most);
     (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
 }

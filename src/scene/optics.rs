@@ -135,13 +135,8 @@ impl Resolver<'_> {
             "camera.exposure_share",
             "a share above 0 and at most 1",
         )?;
-        let given = [
-            table.exposure_ms.is_some(),
-            table.exposures_ms.is_some(),
-            table.exposure.is_some(),
-        ];
-        let alone =
-            given.iter().filter(|given| **given).count() < 2 || table.exposures_ms.is_none();
+        let one = table.exposure_ms.is_some() || table.exposure.is_some();
+        let alone = table.exposures_ms.is_none() || !one;
         let expected = "exposures_ms alone, without exposure_ms and exposure";
         self.check(alone, "camera.exposures_ms", expected)?;
         match (table.exposure_ms, table.exposure) {
