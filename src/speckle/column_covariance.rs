@@ -1,6 +1,6 @@
 //! Covariance of the light of strips of pixels of one column, for many strips.
 
-use super::theory::{most_grains, triangle};
+use super::theory::{lagrange, most_grains, triangle};
 use crate::math::Aperture;
 use crate::math::{DMat2, DVec2};
 
@@ -47,15 +47,8 @@ impl ColumnCovariance {
         }
     }
 
-    /// R as a cubic through the four nearest steps (Lagrange 1795).
     fn at(&self, v: f64) -> f64 {
-        let steps = v.abs() * self.grains * STEPS;
-        let first = (steps as usize).min(self.values.len() - 4);
-        let t = steps - first as f64;
-        let [a, b, c, d] = [0, 1, 2, 3].map(|i| self.values[first + i]);
-        let (before, next, after) = (t + 1.0, t - 1.0, t - 2.0);
-        (b * before * next * after - c * before * t * after) / 2.0
-            + (d * before * t * next - a * t * next * after) / 6.0
+        lagrange(&self.values, v.abs() * self.grains * STEPS)
     }
 
     /// Covariances of strips `high` pixels high at each of these distances, pixels.

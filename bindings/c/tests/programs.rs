@@ -36,13 +36,14 @@ fn text(output: &Output) -> String {
 
 /// Header, libraries and pkg-config file below a folder of their own, once for all tests.
 /// (Cargo builds a library that only C links when it is asked to, not for tests; with the
-/// packages and targets of `make test` it shares their build.)
+/// packages, targets and features of `make test` it shares their build.)
 fn installed() -> &'static Path {
     static INSTALLED: OnceLock<PathBuf> = OnceLock::new();
     INSTALLED.get_or_init(|| {
         let mut build = Command::new(env!("CARGO"));
         build.args(["build", "-p", "lasertrace", "-p", "lasertrace-c"]);
         build.args(["--lib", "--test", "header"]);
+        build.args(["--features", "lasertrace/service,lasertrace/race"]);
         if target().ends_with("release") {
             build.arg("--release");
         }
