@@ -47,6 +47,7 @@ impl ColumnCovariance {
         }
     }
 
+    /// R at a distance of v pixels.
     fn at(&self, v: f64) -> f64 {
         lagrange(&self.values, v.abs() * self.grains * STEPS)
     }

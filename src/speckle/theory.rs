@@ -187,80 +187,59 @@ pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
 /// evenly lit pupil.
 pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
     let sigma = sigma.clamp(0.25, 16.0);
-    let pupil = ColumnPupil::new(aperture, sigma);
-    let columns = panels((2.0 * q).ceil().max(1.0) as usize).into_iter();
-    let columns: Vec<_> = columns.map(|(x, w)| (q * x, 2.0 * w * (1.0 - x))).collect();
-    let of_pixel = pupil.first_order(&columns) / pupil.first_order(&[(0.0, 1.0)]);
-    (pupil.variance() * sigma * of_pixel).sqrt()
-}
-
-/// The pupil as one column of the image sees it: see [`defocus_noise`].
-struct ColumnPupil {
-    /// Place p, weight and chord c(p).
-    nodes: Vec<[f64; 3]>,
-    /// Of B₀ at two nodes, √weights within it; its trace is 1.
-    covariance: DMatrix<f64>,
-}
-
-impl ColumnPupil {
-    fn new(aperture: Aperture, sigma: f64) -> ColumnPupil {
-        let half = 0.5 * aperture.ratio();
-        let chord = |x: f64| match aperture {
-            Aperture::Square => 1.0,
-            _ => (1.0 - x * x).sqrt(),
-        };
-        // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
-        let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
-        let nodes: Vec<[f64; 3]> = (rule.iter())
-            .map(|&(x, w)| [half * (2.0 * x - 1.0), w, chord(2.0 * x - 1.0)])
-            .collect();
-        let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
-        let covariance = DMatrix::from_fn(nodes.len(), nodes.len(), |i, j| {
-            let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
-            (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
-        });
-        ColumnPupil { nodes, covariance }
-    }
-
-    /// The variance to first order, of the mean over columns so many grains apart, by weight.
-    fn first_order(&self, columns: &[(f64, f64)]) -> f64 {
-        let nodes = &self.nodes;
-        let mean = |chord: f64| -> f64 {
-            let shares = columns.iter().map(|(x, w)| w * sinc(chord * x).powi(2));
+    let half = 0.5 * aperture.ratio();
+    let chord = |x: f64| match aperture {
+        Aperture::Square => 1.0,
+        _ => (1.0 - x * x).sqrt(),
+    };
+    // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
+    let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
+    let nodes: Vec<[f64; 3]> = (rule.iter())
+        .map(|&(x, w)| [half * (2.0 * x - 1.0), w, chord(2.0 * x - 1.0)])
+        .collect();
+    let n = nodes.len();
+    let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
+    let covariance = DMatrix::from_fn(n, n, |i, j| {
+        let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
+        (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
+    });
+    let first_order = |columns: &[(f64, f64)]| -> f64 {
+        let mean = |&[_, _, chord]: &[f64; 3]| -> f64 {
+            let shares = columns.iter().map(|(x, w)| w * sinc(chord * q * x).powi(2));
             shares.sum()
         };
-        let means: Vec<f64> = nodes.iter().map(|node| mean(node[2])).collect();
-        // The mean of a pair is that of the shorter chord.
-        let of = |i: usize, j: usize| if nodes[i][2] < nodes[j][2] { i } else { j };
-        let pairs = (0..nodes.len()).flat_map(|i| (0..nodes.len()).map(move |j| (i, j)));
-        let pair = |(i, j): (usize, usize)| {
-            nodes[i][0] * nodes[j][0] * self.covariance[(i, j)].powi(2) * means[of(i, j)]
+        let means: Vec<f64> = nodes.iter().map(mean).collect();
+        let pair = |i: usize, j: usize| {
+            let shorter = if nodes[i][2] < nodes[j][2] { i } else { j };
+            nodes[i][0] * nodes[j][0] * covariance[(i, j)].powi(2) * means[shorter]
         };
-        pairs.map(pair).sum()
-    }
-
-    /// That of ∫p|B₀|²/∫|B₀|².
-    fn variance(&self) -> f64 {
-        let modes = self.covariance.clone().symmetric_eigen();
-        let vectors = &modes.eigenvectors;
-        let places = DVector::from_iterator(self.nodes.len(), self.nodes.iter().map(|p| p[0]));
-        let places = vectors.transpose() * DMatrix::from_diagonal(&places) * vectors;
-        let squares = places.component_mul(&places);
-        // t from 0 to ∞.
-        let variance = gauss_legendre(48).into_iter().map(|(u, weight)| {
-            let t = 4.0 * u / (1.0 - u);
-            let damped = modes
-                .eigenvalues
-                .map(|mode| mode.max(0.0) / (1.0 + t * mode.max(0.0)));
-            let all: f64 = modes
-                .eigenvalues
-                .iter()
-                .map(|mode| (t * mode.max(0.0)).ln_1p())
-                .sum();
-            weight * 4.0 / (1.0 - u).powi(2) * t * damped.dot(&(&squares * &damped)) * (-all).exp()
-        });
-        variance.sum()
-    }
+        (0..n)
+            .flat_map(|i| (0..n).map(move |j| (i, j)))
+            .map(|(i, j)| pair(i, j))
+            .sum()
+    };
+    let columns = panels((2.0 * q).ceil().max(1.0) as usize).into_iter();
+    let columns: Vec<_> = columns.map(|(x, w)| (x, 2.0 * w * (1.0 - x))).collect();
+    let of_pixel = first_order(&columns) / first_order(&[(0.0, 1.0)]);
+    let modes = covariance.symmetric_eigen();
+    let vectors = &modes.eigenvectors;
+    let places = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|p| p[0])));
+    let places = vectors.transpose() * places * vectors;
+    let squares = places.component_mul(&places);
+    // t from 0 to ∞.
+    let variance = gauss_legendre(48).into_iter().map(|(u, weight)| {
+        let t = 4.0 * u / (1.0 - u);
+        let damped = modes
+            .eigenvalues
+            .map(|mode| mode.max(0.0) / (1.0 + t * mode.max(0.0)));
+        let all: f64 = modes
+            .eigenvalues
+            .iter()
+            .map(|mode| (t * mode.max(0.0)).ln_1p())
+            .sum();
+        weight * 4.0 / (1.0 - u).powi(2) * t * damped.dot(&(&squares * &damped)) * (-all).exp()
+    });
+    (variance.sum::<f64>() * sigma * of_pixel).sqrt()
 }
 
 /// Nodes and weights on [0, 1], eight in each of the `panels`.
@@ -275,25 +254,24 @@ fn panels(panels: usize) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// 2J₁(πr)/(πr), 1 at 0: up to 64 by a cubic through four steps of 1/128 (Lagrange 1795). Its
-/// frequencies are up to half a cycle, so that it is off by less than (π/128)⁴·(9/16)/24 = 9e-9.
+/// 2J₁(πr)/(πr), 1 at 0. Up to r = 64 from a table, by cubics; since it has no frequency above
+/// half a cycle, they are off by less than (π/128)⁴·(9/16)/24 = 9e-9.
 fn jinc(r: f64) -> f64 {
+    const MOST: f64 = 64.0;
+    const STEPS: f64 = 128.0;
     static TABLE: LazyLock<Vec<f64>> = LazyLock::new(|| {
         let places = (-1..=(MOST * STEPS) as i32 + 2).map(|step| f64::from(step) / STEPS);
         places.map(exact_jinc).collect()
     });
-    const MOST: f64 = 64.0;
-    const STEPS: f64 = 128.0;
-    let steps = r.abs() * STEPS;
-    if steps < MOST * STEPS {
-        lagrange(&TABLE, steps)
+    if r.abs() < MOST {
+        lagrange(&TABLE, r.abs() * STEPS)
     } else {
         exact_jinc(r)
     }
 }
 
-/// At so many steps ≥ 0 past the second of values at even steps, the cubic through the four
-/// nearest (Lagrange 1795).
+/// A function `steps` ≥ 0 steps from 0, by the cubic through the four nearest of its `values`,
+/// which begin at −1 step (Lagrange 1795).
 pub(super) fn lagrange(values: &[f64], steps: f64) -> f64 {
     let first = (steps as usize).min(values.len() - 4);
     let t = steps - first as f64;
@@ -303,6 +281,7 @@ pub(super) fn lagrange(values: &[f64], steps: f64) -> f64 {
         + (d * before * t * next - a * t * next * after) / 6.0
 }
 
+/// [`jinc`] without its table.
 fn exact_jinc(r: f64) -> f64 {
     let x = PI * r;
     if x.abs() < 1e-6 {
