@@ -28,6 +28,33 @@ fn defocus_noise_is_that_of_the_table() {
     }
 }
 
+/// Between the table's steps, by the bound that [`defocus_noise`] states.
+#[test]
+fn a_table_gives_the_noise_of_defocus() {
+    for aperture in [Aperture::Circle, Aperture::Square] {
+        for i in 0..24 {
+            let sigma = (-1.99 + 0.249 * f64::from(i)).exp2();
+            let found = defocus_noise(aperture, 0.0, sigma);
+            let exact = Line::new(aperture, sigma).noise();
+            let error = (found / exact - 1.0).abs();
+            assert!(error < 1e-4, "{aperture:?} {sigma}: {found} {exact}");
+        }
+    }
+}
+
+/// A pupil half as high spreads a line half as far, by grains twice as high: κ² is κ²·b²·h/σ of
+/// the disc that it is stretched from.
+#[test]
+fn an_ellipse_is_a_disc_stretched() {
+    let [disc, flat] = [Aperture::Circle, Aperture::Ellipse(0.5)];
+    let found = defocus_noise(flat, 0.0, 4.0).powi(2);
+    let stretched = 0.5f64.powi(2) * 2.0 * defocus_noise(disc, 0.0, 2.0).powi(2);
+    assert!(
+        (found / stretched - 1.0).abs() < 1e-12,
+        "{found} {stretched}"
+    );
+}
+
 /// Cells a grain, and across the field.
 const FINE: usize = 2;
 const SIDE: usize = 128;
