@@ -123,14 +123,23 @@
     return true;
   };
 
-  // Drafts: one request at a time, always of the newest values, so that none waits for another.
+  // Drafts: one request at a time, always of the newest values, so that none waits for another. While one is
+  // drawn the next is made.
+  const ask = () => ({
+    number: wanted,
+    start: performance.now(),
+    answer: get("draft", asked()).then((answer) => answer.arrayBuffer()),
+  });
   const pump = async () => {
     if (asking) return;
     asking = true;
-    while (drawn < wanted) {
-      const number = wanted, start = performance.now();
+    let next = null;
+    while (next || drawn < wanted) {
+      const { number, start, answer } = next ?? ask();
+      next = null;
       try {
-        const bytes = await (await get("draft", asked())).arrayBuffer();
+        const bytes = await answer;
+        if (number < wanted) next = ask();
         // The final picture may have come first.
         if (drawn >= number) continue;
         show(bytes);

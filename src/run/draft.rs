@@ -7,6 +7,7 @@ use super::simulation::{Simulation, optics, patterns, plan_for};
 use crate::error::Result;
 use crate::plan::in_view::InView;
 use crate::scene::Scene;
+use std::sync::OnceLock;
 
 impl Simulation {
     /// One of another scene with the same part, to look at one frame. Its plan is made by the rules for what that
@@ -21,7 +22,8 @@ impl Simulation {
         let plan = named(scene, plan_for(scene, seen.places));
         let (accel, errors) = (self.accel.clone(), self.errors.clone());
         let speckle = patterns(scene, &accel, &plan)?;
-        let other = Simulation::with_patterns(scene, accel, plan, speckle, errors);
+        let mut other = Simulation::with_patterns(scene, accel, plan, speckle, errors);
+        other.column_correlation = OnceLock::from(self.column_correlation().to_vec());
         Ok(other.with_clusters_of(self))
     }
 }

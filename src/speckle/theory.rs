@@ -314,11 +314,11 @@ fn exact_over_pixel(a: f64) -> f64 {
 
 /// Nodes and weights on [0, 1], eight in each of the `panels`.
 fn panels(panels: usize) -> Vec<(f64, f64)> {
-    let rule = gauss_legendre(8);
+    static RULE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| gauss_legendre(8));
     let share = 1.0 / panels as f64;
     (0..panels)
         .flat_map(|i| {
-            rule.iter()
+            RULE.iter()
                 .map(move |(x, w)| (share * (i as f64 + x), share * w))
         })
         .collect()
