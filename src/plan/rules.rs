@@ -283,12 +283,12 @@ impl LineImage {
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
         let each = 1.0 / places.len().max(1) as f64;
         for &p in places {
+            let pixel = camera.project(camera_from_laser.point(p));
             let moved = |by: DVec3| {
-                let from = camera.project(camera_from_laser.point(p))?;
-                Some((camera.project(camera_from_laser.point(p + by))? - from).length())
+                Some((camera.project(camera_from_laser.point(p + by))? - pixel?).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
-            if let Some(pixel) = camera.project(camera_from_laser.point(p)) {
+            if let Some(pixel) = pixel {
                 image.grain = image.grain.with(grains(pixel));
             }
             let blur = camera.defocus_blur(camera_from_laser.point(p));

@@ -10,6 +10,7 @@ use crate::speckle::column_covariance::ColumnCovariance;
 use crate::speckle::theory::strip_covariance;
 use glam::{DMat2, UVec2};
 use rayon::prelude::*;
+use std::sync::LazyLock;
 
 /// Narrowest and widest line, px: below, pixels alias by more than a hundredth.
 pub const SIGMAS_PX: (f64, f64) = (0.4, 64.0);
@@ -79,14 +80,12 @@ const PLACES_RAD: f64 = 0.1;
 
 impl Places {
     pub fn new(finder: PeakFinder, grain: Option<&SpeckleGrain>) -> Places {
-        let (least, most) = SIGMAS_PX;
-        let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
-        let lines: Vec<Line> = (0..NODES).map(|i| Line::new(finder, sigma(i))).collect();
+        let lines = lines(finder);
         let Some(grain) = grain else {
             return Places {
                 step: DVec2::ONE,
                 count: [1, 1],
-                nodes: vec![widths(&lines, |_| vec![0.0])],
+                nodes: vec![widths(lines, |_| vec![0.0])],
             };
         };
         let size = grain.resolution.as_dvec2();
@@ -102,7 +101,7 @@ impl Places {
         let node = |i: usize| {
             let place = step * DVec2::new((i % count[0]) as f64, (i / count[0]) as f64);
             let column = column(grain, place);
-            widths(&lines, |parts| covariances(grain, &column, place, parts))
+            widths(lines, |parts| covariances(grain, &column, place, parts))
         };
         Places {
             step,
@@ -230,6 +229,23 @@ pub(super) fn column_correlation(
 const LEAST_CORRELATION: f64 = 0.01;
 /// Columns beyond which it is not followed: grains of 16 columns.
 const MOST_COLUMNS: usize = 64;
+
+/// Lines of all widths of [`Widths`], worked out once.
+fn lines(finder: PeakFinder) -> &'static [Line] {
+    static LINES: [LazyLock<Vec<Line>>; 4] = [
+        LazyLock::new(|| of_all_widths(PeakFinder::Centroid)),
+        LazyLock::new(|| of_all_widths(PeakFinder::LogParabola)),
+        LazyLock::new(|| of_all_widths(PeakFinder::GaussianFit)),
+        LazyLock::new(|| of_all_widths(PeakFinder::DerivativeZero)),
+    ];
+    &LINES[finder as usize]
+}
+
+fn of_all_widths(finder: PeakFinder) -> Vec<Line> {
+    let (least, most) = SIGMAS_PX;
+    let sigma = |i: usize| least * (most / least).powf(i as f64 / (NODES - 1) as f64);
+    (0..NODES).map(|i| Line::new(finder, sigma(i))).collect()
+}
 
 /// A line of one width, as the mean over one at a pixel's middle and one at its edge.
 struct Line {

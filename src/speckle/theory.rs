@@ -189,43 +189,43 @@ pub fn centroid_noise(h: f64, sigma: f64, contrast: f64) -> f64 {
 pub fn defocus_noise(aperture: Aperture, q: f64, sigma: f64) -> f64 {
     // An ellipse is a disc whose height is the unit.
     let ratio = aperture.ratio();
-    let table = match aperture {
-        Aperture::Square => &SQUARE_NOISE,
-        _ => &DISC_NOISE,
+    let lines = match aperture {
+        Aperture::Square => &SQUARE_LINES,
+        _ => &DISC_LINES,
     };
-    let sigma = (sigma * ratio).clamp(0.25, 16.0);
-    let steps = (sigma.log2() - NOISE_OCTAVES.0) * NOISE_STEPS;
-    let of_pixel = Line::new(aperture, sigma).noise_of_pixel(q);
-    (ratio * of_pixel).sqrt() * lagrange(table, steps)
+    let octaves = (sigma * ratio).log2().clamp(LINES.0, LINES.1);
+    let steps = (octaves - LINES.0) * LINE_STEPS;
+    let first = (steps as usize).min(lines.len() - 4);
+    let four: Vec<f64> = lines[first..first + 4].iter().map(|l| l.noise(q)).collect();
+    ratio.sqrt() * lagrange(&four, steps - first as f64)
 }
 
-/// Least and most σ/h of a table of κ, in octaves, and its steps for each.
-const NOISE_OCTAVES: (f64, f64) = (-2.0, 4.0);
-const NOISE_STEPS: f64 = 4.0;
+/// Least and most σ/h of lines whose κ is known, in octaves, and their steps for each.
+const LINES: (f64, f64) = (-2.0, 4.0);
+const LINE_STEPS: f64 = 4.0;
 
-static DISC_NOISE: LazyLock<Vec<f64>> = LazyLock::new(|| noise_table(Aperture::Circle));
-static SQUARE_NOISE: LazyLock<Vec<f64>> = LazyLock::new(|| noise_table(Aperture::Square));
+static DISC_LINES: LazyLock<Vec<Line>> = LazyLock::new(|| lines(Aperture::Circle));
+static SQUARE_LINES: LazyLock<Vec<Line>> = LazyLock::new(|| lines(Aperture::Square));
 
-/// κ of pixels much smaller than a grain, from one step before the least σ/h on.
-fn noise_table(aperture: Aperture) -> Vec<f64> {
-    let steps = ((NOISE_OCTAVES.1 - NOISE_OCTAVES.0) * NOISE_STEPS) as i32;
-    let sigma = |step: i32| (NOISE_OCTAVES.0 + f64::from(step) / NOISE_STEPS).exp2();
-    let sigmas = (-1..=steps).map(sigma);
-    sigmas
-        .map(|sigma| Line::new(aperture, sigma).noise())
+/// From one step before the least σ/h on.
+fn lines(aperture: Aperture) -> Vec<Line> {
+    let steps = ((LINES.1 - LINES.0) * LINE_STEPS) as i32;
+    let sigma = |step: i32| (LINES.0 + f64::from(step) / LINE_STEPS).exp2();
+    (-1..=steps)
+        .map(|step| Line::new(aperture, sigma(step)))
         .collect()
 }
 
-/// One column's light of a line of standard deviation `sigma` in a pupil as high as wide, in
-/// grains: see [`defocus_noise`].
+/// One column's light of a line in a pupil as high as wide: see [`defocus_noise`].
 struct Line {
-    sigma: f64,
-    /// Place, weight and chord of quadrature over the pupil's height.
-    nodes: Vec<[f64; 3]>,
-    power: f64,
+    /// κ².
+    variance: f64,
+    /// Chords of the pupil, and the share of κ² of pairs of places of which each is the shorter.
+    chords: Vec<[f64; 2]>,
 }
 
 impl Line {
+    /// Of a line of standard deviation `sigma`, in grains.
     fn new(aperture: Aperture, sigma: f64) -> Line {
         let chord = |x: f64| match aperture {
             Aperture::Square => 1.0,
@@ -233,44 +233,27 @@ impl Line {
         };
         // Some four nodes for each standard deviation of the covariance, 1/(2πσ).
         let rule = gauss_legendre(16 + (12.0 * sigma) as usize);
-        let node = |(x, w): (f64, f64)| [x - 0.5, w, chord(2.0 * x - 1.0)];
-        let nodes: Vec<[f64; 3]> = rule.into_iter().map(node).collect();
-        let power = nodes.iter().map(|[_, w, c]| w * c).sum();
-        Line {
-            sigma,
-            nodes,
-            power,
-        }
-    }
-
-    /// Covariance of the field at two nodes, as a share of the light.
-    fn covariance(&self, i: usize, j: usize) -> f64 {
-        let ([p, v, c], [r, w, d]) = (self.nodes[i], self.nodes[j]);
-        (v * w).sqrt() * c.min(d) * (-2.0 * (PI * self.sigma * (p - r)).powi(2)).exp() / self.power
-    }
-
-    /// Share of κ² that is left where columns are those of pixels `q` grains wide.
-    fn noise_of_pixel(&self, q: f64) -> f64 {
-        let shares = self.nodes.iter().map(|[_, _, chord]| over_pixel(chord * q));
-        let shares: Vec<f64> = shares.collect();
-        let (mut of_pixel, mut of_column) = (0.0, 0.0);
-        for (i, [p, _, chord]) in self.nodes.iter().enumerate() {
-            for (j, [r, _, other]) in self.nodes[..=i].iter().enumerate() {
-                let pair = p * r * self.covariance(i, j).powi(2) * if i == j { 1.0 } else { 2.0 };
-                of_pixel += pair * shares[if chord < other { i } else { j }];
-                of_column += pair;
+        let nodes: Vec<[f64; 3]> = (rule.iter())
+            .map(|&(x, w)| [x - 0.5, w, chord(2.0 * x - 1.0)])
+            .collect();
+        let n = nodes.len();
+        let power: f64 = nodes.iter().map(|[_, w, c]| w * c).sum();
+        let covariance = DMatrix::from_fn(n, n, |i, j| {
+            let ([p, v, c], [r, w, d]) = (nodes[i], nodes[j]);
+            (v * w).sqrt() * c.min(d) * (-2.0 * (PI * sigma * (p - r)).powi(2)).exp() / power
+        });
+        let mut chords: Vec<[f64; 2]> = nodes.iter().map(|[_, _, c]| [*c, 0.0]).collect();
+        for (i, [p, _, c]) in nodes.iter().enumerate() {
+            for (j, [r, _, d]) in nodes.iter().enumerate() {
+                let shorter = if c < d { i } else { j };
+                chords[shorter][1] += p * r * covariance[(i, j)].powi(2);
             }
         }
-        of_pixel / of_column
-    }
-
-    /// κ of one column.
-    fn noise(&self) -> f64 {
-        let n = self.nodes.len();
-        let modes = DMatrix::from_fn(n, n, |i, j| self.covariance(i, j)).symmetric_eigen();
+        let all: f64 = chords.iter().map(|[_, share]| share).sum();
+        chords.iter_mut().for_each(|[_, share]| *share /= all);
+        let modes = covariance.symmetric_eigen();
         let vectors = &modes.eigenvectors;
-        let places = self.nodes.iter().map(|[p, _, _]| *p);
-        let places = DMatrix::from_diagonal(&DVector::from_iterator(n, places));
+        let places = DMatrix::from_diagonal(&DVector::from_iterator(n, nodes.iter().map(|p| p[0])));
         let places = vectors.transpose() * places * vectors;
         let squares = places.component_mul(&places);
         // t from 0 to ∞.
@@ -286,7 +269,16 @@ impl Line {
                 .sum();
             weight * 4.0 / (1.0 - u).powi(2) * t * damped.dot(&(&squares * &damped)) * (-all).exp()
         });
-        (variance.sum::<f64>() * self.sigma).sqrt()
+        Line {
+            variance: variance.sum::<f64>() * sigma,
+            chords,
+        }
+    }
+
+    /// κ of pixels `q` grains wide.
+    fn noise(&self, q: f64) -> f64 {
+        let of_chord = |[chord, share]: &[f64; 2]| share * over_pixel(chord * q);
+        (self.variance * self.chords.iter().map(of_chord).sum::<f64>()).sqrt()
     }
 }
 
