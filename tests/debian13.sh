@@ -3,12 +3,14 @@
 # whatever release the host is: in a chroot made with debootstrap, on a clean
 # checkout of HEAD, with the host's Rust toolchain. Needs root and debootstrap.
 #
-#   tests/debian13.sh [--keep DIRECTORY] [--demo]
+#   tests/debian13.sh [--keep DIRECTORY] [--demo] [--ways]
 #
 #   --keep DIRECTORY  make the chroot there and leave it; a later run with the
 #                     same directory skips debootstrap and builds incrementally
 #   --demo            run `make demo` too; with --keep its output is left in
 #                     DIRECTORY/root/lasertrace/out/demo
+#   --ways            try the README's ways in (tests/ways_in.sh) in place of the
+#                     tests; results in the checkout's out/ways
 #
 # The Debian mirror, proxy and certificates are the host's; where the host's apt
 # knows no Debian mirror, name one in DEBIAN_MIRROR.
@@ -82,13 +84,13 @@ bootstrap() {
     touch "$root/.bootstrapped"
 }
 
-# Name resolution, proxy, certificates and cargo's settings, as on the host.
+# Name resolution, proxy, certificates, pip's and cargo's settings, as on the host.
 copy_network_settings() {
     local cargo_home=${CARGO_HOME:-$HOME/.cargo} file
     local bundle=${SSL_CERT_FILE:-/etc/ssl/certs/ca-certificates.crt}
-    for file in /etc/resolv.conf /etc/hosts; do
+    for file in /etc/resolv.conf /etc/hosts /etc/pip.conf; do
         if [ -f "$file" ]; then
-            cp -L "$file" "$root$file"
+            cp -L --parents "$file" "$root"
         fi
     done
     apt-config dump |
@@ -149,7 +151,7 @@ inside() {
         chroot "$root" sh -euc "cd $checkout; $1"
 }
 
-keep=no demo=no root=
+keep=no demo=no ways=no root=
 while [ $# -gt 0 ]; do
     case $1 in
     --keep)
@@ -158,6 +160,7 @@ while [ $# -gt 0 ]; do
         shift
         ;;
     --demo) demo=yes ;;
+    --ways) ways=yes ;;
     *) usage ;;
     esac
     shift
@@ -186,7 +189,12 @@ mount_toolchain
 check_out
 # minbase has no make, which whoever types `make test` has: setup.sh brings it.
 inside 'sh ffi/setup.sh'
-inside 'make test'
+if [ "$ways" = yes ]; then
+    inside 'apt-get -qq install --yes curl pkg-config python3-venv >/dev/null'
+    inside 'tests/ways_in.sh out/ways'
+else
+    inside 'make test'
+fi
 [ "$demo" = no ] || inside 'make demo'
 # shellcheck disable=SC2016 # the variable is the chroot's
 inside '. /etc/os-release; echo "$PRETTY_NAME"; dpkg-query -W "libembree*"'
