@@ -17,6 +17,7 @@
 set -euo pipefail
 
 checkout=/root/lasertrace
+certificates=/etc/ssl/host.crt
 toolchain=/opt/rust
 proxies=(http_proxy https_proxy no_proxy HTTP_PROXY HTTPS_PROXY NO_PROXY)
 
@@ -84,13 +85,13 @@ bootstrap() {
     touch "$root/.bootstrapped"
 }
 
-# Name resolution, proxy, certificates, pip's and cargo's settings, as on the host.
+# Name resolution, proxy, certificates and cargo's settings, as on the host.
 copy_network_settings() {
     local cargo_home=${CARGO_HOME:-$HOME/.cargo} file
     local bundle=${SSL_CERT_FILE:-/etc/ssl/certs/ca-certificates.crt}
-    for file in /etc/resolv.conf /etc/hosts /etc/pip.conf; do
+    for file in /etc/resolv.conf /etc/hosts; do
         if [ -f "$file" ]; then
-            cp -L --parents "$file" "$root"
+            cp -L "$file" "$root$file"
         fi
     done
     apt-config dump |
@@ -105,6 +106,8 @@ copy_network_settings() {
     mkdir -p "$root/etc/ssl/certs" "$root/root/.cargo/registry"
     if [ -f "$bundle" ]; then
         cp -L "$bundle" "$root/etc/ssl/certs/ca-certificates.crt"
+        # Not written over by Debian's package of certificates.
+        cp -L "$bundle" "$root$certificates"
     fi
     for file in config.toml registry/index registry/cache; do
         if [ -e "$cargo_home/$file" ]; then
@@ -147,7 +150,7 @@ inside() {
     done
     env -i HOME=/root LANG=C.UTF-8 TERM="${TERM:-dumb}" \
         PATH="$toolchain/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin" \
-        SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt "${settings[@]}" \
+        SSL_CERT_FILE=$certificates PIP_CERT=$certificates "${settings[@]}" \
         chroot "$root" sh -euc "cd $checkout; $1"
 }
 

@@ -212,6 +212,19 @@ else
     row "$name" "$(grep -c ': yes$' "$log") of $(grep -cE ': (yes|NO)$' "$log") hold" "$goal" "$met" "$command"
 fi
 
+name='the ways in of README.md, each with nothing built before'
+command='tests/ways_in.sh out/verify/ways'
+goal='a result of each; how long it took is in out/verify/ways/ways.md'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif ! command -v curl >/dev/null || ! command -v pkg-config >/dev/null || ! python3 -c 'import ensurepip' 2>/dev/null; then
+    skip "$name" "$goal" 'needs curl, pkg-config and python3-venv' "$command"
+else
+    # shellcheck disable=SC2086
+    try ways $command
+    row "$name" "$(sed -nE 's/^\| ([a-z-]+) \| ([0-9]+|failed) \|.*/\1 \2 s/p' "$log" | paste -sd ';' | tr ';' ',')" "$goal" "$met" "$command"
+fi
+
 . benches/conditions.sh
 {
     echo '# Verification'

@@ -6,9 +6,9 @@ use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::{Control, files};
-use image::{DynamicImage, ImageFormat};
+use png::{BitDepth, Transformations};
 use serde::Serialize;
-use std::io::Write as _;
+use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Which way the laser line runs in an image.
@@ -78,32 +78,54 @@ fn wrong(path: &Path, found: String) -> Error {
 
 /// `read_image` for bytes already in memory; `path` only names them in errors.
 pub fn parse_image(path: &Path, bytes: &[u8], line_along: LineAlong) -> Result<GreyImage> {
-    let image = image::load_from_memory_with_format(bytes, ImageFormat::Png)
-        .map_err(|error| wrong(path, error.to_string()))?;
-    let image = match line_along {
-        LineAlong::Columns => image,
-        LineAlong::Rows => image.rotate90().fliph(),
-    };
-    let columns = image.width() as usize;
-    let is_deep = matches!(
-        image,
-        DynamicImage::ImageLuma16(_)
-            | DynamicImage::ImageLumaA16(_)
-            | DynamicImage::ImageRgb16(_)
-            | DynamicImage::ImageRgba16(_)
-    );
-    let (counts, max_count) = match is_deep {
-        true => (image.into_luma16().into_raw(), u16::MAX),
-        false => {
-            let counts = image.into_luma8().into_raw();
-            (counts.into_iter().map(u16::from).collect(), 255)
-        }
+    let (counts, max_count) = decode(bytes).map_err(|found| wrong(path, found))?;
+    let counts = match line_along {
+        LineAlong::Columns => counts,
+        LineAlong::Rows => Counts::of_rows(counts.by_column(), counts.rows()),
     };
     Ok(GreyImage {
-        counts: Counts::of_rows(&counts, columns),
+        counts,
         max_count,
         line_along,
     })
+}
+
+/// Most bytes of an image in memory.
+const MOST_BYTES: usize = 1 << 29;
+
+/// Counts and the format's highest, or what was found in place of a PNG.
+fn decode(bytes: &[u8]) -> std::result::Result<(Counts, u16), String> {
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    // Palettes as their colours, fewer bits than eight as eight.
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(|error| error.to_string())?;
+    let size = reader.output_buffer_size();
+    let size = size.filter(|&size| size <= MOST_BYTES);
+    let mut samples = vec![0; size.ok_or("an image of more than 512 MiB")?];
+    let frame = reader.next_frame(&mut samples);
+    let frame = frame.map_err(|error| error.to_string())?;
+    samples.truncate(frame.buffer_size());
+    let (values, max_count): (Vec<u16>, u16) = match frame.bit_depth {
+        BitDepth::Sixteen => {
+            let pairs = samples.chunks_exact(2);
+            (
+                pairs.map(|p| u16::from_be_bytes([p[0], p[1]])).collect(),
+                u16::MAX,
+            )
+        }
+        _ => (samples.into_iter().map(u16::from).collect(), 255),
+    };
+    // Without what is transparent; of colours the luminance (ITU-R BT.709).
+    let grey = |pixel: &[u16]| match *pixel {
+        [red, green, blue, ..] => {
+            let [red, green, blue] = [red, green, blue].map(u32::from);
+            ((2126 * red + 7152 * green + 722 * blue) / 10_000) as u16
+        }
+        _ => pixel[0],
+    };
+    let pixels = values.chunks_exact(frame.color_type.samples());
+    let counts: Vec<u16> = pixels.map(grey).collect();
+    Ok((Counts::of_rows(&counts, frame.width as usize), max_count))
 }
 
 impl GreyImage {
