@@ -23,7 +23,10 @@ fn three_commands_measure_the_top_of_a_part() {
     let (code, text, stderr) = run(folder.path(), &begin);
     assert_eq!((code, stderr.as_str()), (0, ""), "{text}");
     assert!(text.contains("60.0000 × 2.0000 × 10.0000 mm"), "{text}");
-    assert!(text.contains("4 passes side by side, 1 of them"), "{text}");
+    assert!(
+        text.contains("4 × 1 passes, side by side and one below the other"),
+        "{text}"
+    );
     let (code, page, stderr) = run(folder.path(), &["check", "first/scene.toml"]);
     assert_eq!((code, stderr.as_str()), (0, ""));
     assert!(page.contains("No warnings"), "{page}");

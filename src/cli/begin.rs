@@ -38,7 +38,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
     let [x, y, z] = begun.size_mm;
     let [beside, below] = begun.passes;
     let text = format!(
-        "A part of {x:.4} × {y:.4} × {z:.4} mm, seen from +z in {beside} passes side by side, {below} of them one below the other: {} frames, \
+        "A part of {x:.4} × {y:.4} × {z:.4} mm, seen from +z in {beside} × {below} passes, side by side and one below the other: {} frames, \
          {:.4} mm apart.\nscene:  {}\nLook at it with lasertrace check, and then run lasertrace scan.\n",
         begun.frames,
         begun.step_mm,

@@ -79,6 +79,17 @@ pub(super) fn require_for_file(
     }
 }
 
+/// Gives free memory back to the system, where the C library is one that can: else a long run of
+/// pieces that differ holds what the largest so far took.
+pub(crate) fn give_back() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: it takes no pointer, and any thread may call it at any time.
+    #[allow(unsafe_code)]
+    unsafe {
+        libc::malloc_trim(0);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -24,7 +24,7 @@ pub struct Begun {
     pub scene: PathBuf,
     /// Of its path.
     pub frames: usize,
-    /// Ways along the part side by side, and how many of these lie one below the other.
+    /// How many ways along the part lie side by side, and how many layers of these one below the other.
     pub passes: [usize; 2],
     /// Of the part, mm.
     pub size_mm: [f64; 3],

@@ -12,6 +12,7 @@ use super::journal::checksum;
 use super::shards::{Shard, unfinished};
 use super::{Control, Coverage, files, need, ready};
 use crate::error::{Error, Result};
+use crate::mesh::memory;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use recipe::Recipe;
@@ -93,6 +94,7 @@ pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Resu
                 &|n| (control.progress)(done + n),
                 control,
             )?;
+            memory::give_back();
             made += 1;
         }
         done += count;
