@@ -80,7 +80,7 @@ pub(super) fn require_for_file(
 }
 
 /// Gives free memory back to the system, where the C library is one that can: else a long run of
-/// pieces that differ holds what the largest so far took.
+/// pieces that differ holds as much as the largest so far took.
 pub(crate) fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: it takes no pointer, and any thread may call it at any time.

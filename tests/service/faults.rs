@@ -139,10 +139,9 @@ fn hostile_jobs_end_within_their_limits_and_take_nothing_else_down() {
     );
     let large = scene(PLANE).replace("resolution_px = [64, 48]", "resolution_px = [65535, 65535]");
     let large = served.job("kind=frame", &large);
-    // Too long for its time, not for its memory: each of its frames sees the part, through a lens
-    // that takes milliseconds.
+    // Too long for its time, not for its memory: each of its frames sees the part, by 256 rays a pixel.
     let endless = long_scene(40_000).replace("step_mm = 0.01", "step_mm = 0.0001")
-        + "[plan]\nblur = \"coherent\"\nsamples_per_side = 8\n";
+        + "[plan]\nsampling = \"rays\"\nsamples_per_side = 16\n";
     let endless = served.job("kind=scan", &endless);
     let good = served.job("kind=frame", &square_scene());
     for (id, code, word) in [

@@ -94,7 +94,6 @@ pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Resu
                 &|n| (control.progress)(done + n),
                 control,
             )?;
-            memory::give_back();
             made += 1;
         }
         done += count;
@@ -185,6 +184,7 @@ fn make(
                 }
                 progress(k + 1 - first);
             }
+            memory::give_back();
         }
         let summed = tar.into_inner().map_err(Error::io("write", &path))?;
         Ok((summed.bytes, summed.hash.finalize()))
