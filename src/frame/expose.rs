@@ -6,6 +6,7 @@ use super::grid::{Four, Nodes};
 use super::irradiance::Irradiance;
 use super::light::Light;
 use super::pixels::{BLOCK, middle};
+use super::reference::Seen;
 use super::speckle::{Nearby, PixelReader, Reader};
 use crate::math::DVec2;
 use rayon::prelude::*;
@@ -113,8 +114,9 @@ struct Spread<'a> {
     reader: &'a Reader<'a>,
     /// Where speckle is read in a pixel.
     nodes: Nodes,
-    /// In each column the light up to which speckle is read in the middle of the pixel alone: spread light
-    /// has wide and faint tails, which move no centroid.
+    /// In each column the light up to which speckle is read in the middle of the pixel alone, and of the plane that the
+    /// first of four pixels sees: spread light has wide and faint tails, which move no centroid, and what reaches a
+    /// pixel there comes from all that lies within the blur.
     faint: Vec<f32>,
 }
 
@@ -150,6 +152,7 @@ impl<'a> Spread<'a> {
         let mut next: Vec<usize> = all.clone().map(|row| rows.start(row)).collect();
         for block in 0..rows.pixels.blocks() {
             let mut nearby = [const { Nearby::NONE }; BLOCK];
+            let mut near_fours = [const { Nearby::NONE }; BLOCK / 4];
             let mut near = |row: usize| match all.contains(&row) {
                 true => self.near(row, block, &mut next[row - all.start]),
                 false => ([0.0; BLOCK + 2], 0),
@@ -169,7 +172,8 @@ impl<'a> Spread<'a> {
                     if mean < self.faint[column] && self.light.polarised.is_empty() {
                         if of_four.0 != i / 4 {
                             let first = middle(column / 4 * 4, row);
-                            of_four = (i / 4, self.reader.side_by_side(first));
+                            let (seen, near) = (self.seen(pixel), &mut near_fours[i / 4]);
+                            of_four = (i / 4, self.reader.side_by_side(first, seen, near));
                         }
                         if let Some(speckle) = &of_four.1 {
                             values[pixel - first] = mean * speckle[i % 4];
@@ -186,6 +190,11 @@ impl<'a> Spread<'a> {
                 (above, here) = (here, below);
             }
         }
+    }
+
+    /// What a pixel sees, by its number.
+    fn seen(&self, pixel: usize) -> Seen {
+        self.light.seen(pixel).first().copied().unwrap_or_default()
     }
 
     /// `next` is the number of the block's first pixel, and of the first after them then.
@@ -210,7 +219,7 @@ impl<'a> Spread<'a> {
     /// Light of a faint pixel, by its number.
     #[inline(always)]
     fn in_the_middle(&self, pixel: usize, mean: f32, mut reader: PixelReader) -> f32 {
-        let seen = self.light.seen(pixel).first().copied().unwrap_or_default();
+        let seen = self.seen(pixel);
         mean * match self.light.polarised(pixel) {
             [polarised] => reader.one_of(DVec2::ZERO, seen, *polarised),
             _ => reader.middle(seen),
@@ -229,7 +238,7 @@ impl<'a> Spread<'a> {
     ) -> f32 {
         let slopes = beside.map(|[before, after]| (after - before) / 2.0);
         let bends = beside.map(|[before, after]| (before + after) / 2.0 - mean);
-        let seen = self.light.seen(pixel).first().copied().unwrap_or_default();
+        let seen = self.seen(pixel);
         let of_four = |four: &Four| {
             let along = |i: usize, place: f32x4| {
                 place * slopes[i] + (place * place - 1.0 / 12.0) * bends[i]

@@ -253,23 +253,25 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Intensities, mean 1, in the middles of four pixels side by side, of which the first has this centre; over them
-    /// the pattern is not bent. `None` where it depends on what is seen, or four pixels are not within a
-    /// field's reach.
+    /// Intensities, mean 1, in the middles of four pixels side by side, of which the first has this centre and all
+    /// see what is `seen`; over them the pattern is not bent. `nearby` is what was found in fours above. `None` for
+    /// rings, or if four pixels are not within a field's reach.
     #[inline(always)]
-    pub fn side_by_side(&self, first: DVec2) -> Option<[f32; 4]> {
-        let Source::Frame(field) = &self.source else {
-            return None;
-        };
-        let (cosines, slopes) = self.rays.around(first + DVec2::new(1.5, 0.0));
-        let step = self.map.texels(slopes.x_axis);
-        if 1.5 * step.abs().max_element() > FrameField::REACH {
-            return None;
-        }
+    pub fn side_by_side(&self, first: DVec2, seen: Seen, nearby: &mut Nearby) -> Option<[f32; 4]> {
         let off = f32x4::from([-1.5, -0.5, 0.5, 1.5]);
-        let [s, t] = step.to_array().map(|step| off * step as f32);
-        let at = self.displacement + self.map.texels(cosines);
-        Some(field.around(at, s, t, 4).to_array())
+        let along = |[by_column, _]: [Vec2; 2]| {
+            let is_within = 1.5 * by_column.abs().max_element() <= FrameField::REACH as f32;
+            is_within.then(|| [off * by_column.x, off * by_column.y])
+        };
+        let mut reader = self.pixel(first + DVec2::new(1.5, 0.0), nearby);
+        let four = if let Some((field, at, steps)) = reader.own {
+            let [s, t] = along(steps)?;
+            field.around(at, s, t, 4)
+        } else {
+            let (field, at, [before, after]) = reader.of_strips(&[seen], 1)?;
+            field.around(at, [along(before)?, along(after)?], 4)
+        };
+        Some(four.to_array())
     }
 
     /// Texels by column and by row; `None` if a pixel is not within a field's reach.
