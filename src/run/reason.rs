@@ -79,6 +79,11 @@ pub enum Reason {
         /// A quarter of the wavelength.
         quarter_wavelength_um: f64,
     },
+    /// More paths than are allowed would be needed to follow light that is reflected more than once without noise.
+    ReflectionsNoisy {
+        /// Noise of the paths over the sensor's own where either shows: 99 of 100 places have less.
+        times: f64,
+    },
     /// In every frame the part is behind the laser.
     LaserLooksAway,
     /// The light passes the part; its plane at the nearest by so much, in this frame.
@@ -226,6 +231,13 @@ impl Reason {
                 short(*roughness),
                 short(*pupil_half_angle),
                 short(*quarter_wavelength_um)
+            ),
+            Reason::ReflectionsNoisy { times } => format!(
+                "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
+                 is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
+                 than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
+                 plan.reflections = 1 for direct light alone.",
+                short(*times)
             ),
             Reason::LaserLooksAway => "The laser looks away from the part, which is behind it in \
                  every frame. Turn laser.direction round, or move the part."
