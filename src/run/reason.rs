@@ -179,6 +179,13 @@ impl Reason {
                 "None of the {points} points is valid: each has a flag, most of them ({flagged}) \
                  the flag {flag}: {meaning}."
             ),
+            Reason::ReflectionsNoisy { times } => format!(
+                "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
+                 is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
+                 than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
+                 plan.reflections = 1 for direct light alone.",
+                short(*times)
+            ),
             _ => return None,
         })
     }
@@ -231,13 +238,6 @@ impl Reason {
                 short(*roughness),
                 short(*pupil_half_angle),
                 short(*quarter_wavelength_um)
-            ),
-            Reason::ReflectionsNoisy { times } => format!(
-                "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
-                 is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
-                 than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
-                 plan.reflections = 1 for direct light alone.",
-                short(*times)
             ),
             Reason::LaserLooksAway => "The laser looks away from the part, which is behind it in \
                  every frame. Turn laser.direction round, or move the part."
