@@ -57,7 +57,7 @@ fn once(kind: Kind) -> Kind {
     });
     let glossy = Glossy {
         lobes: lobes.collect(),
-        lay: glossy.lay.clone(),
+        lay: glossy.lay,
     };
     Kind {
         surface: Surface::Glossy(Arc::new(glossy)),
