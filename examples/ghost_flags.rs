@@ -1,18 +1,19 @@
 //! How many reflections the flag GHOST finds, and how many good points it flags: corners, pockets, bores and ribs of
-//! random size, turned at random, in three metals of random roughness.
+//! random size, turned at random, in three metals of random roughness. Writes `ghosts.md` and `ghosts.svg` to a folder.
 //!
-//!     cargo run --release --example ghost_flags -- development   # scenes that may be looked at
-//!     cargo run --release --example ghost_flags -- held-out      # scenes that the rule was not made on
+//!     cargo run --release --example ghost_flags -- docs
+//!     cargo run --release --example ghost_flags -- target development
 //!
-//! Prints a table, and writes it with a chart of good points flagged over reflections found: of held-out scenes
-//! `docs/ghosts.md` and `docs/ghosts.svg`, else both to `target/`. With `scenes`, the good points of the repository's
-//! scenes that have the flag. Seeds after it replace those of the set.
+//! The first is of scenes that no rule was made on, the second of those that may be looked at. With `scenes` in place of a
+//! folder, prints the good points of the repository's scenes that have the flag.
 
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::profile::Flags;
+use lasertrace::report::ghosts_plot::{GhostsPoint, ghosts_plot};
 use lasertrace::run::Simulation;
 use lasertrace::scene::Scene;
 use std::fmt::Write;
+use std::ops::Range;
 use std::path::Path;
 
 const SHAPES: [&str; 4] = ["corner", "pocket", "bore", "ribs"];
@@ -20,58 +21,63 @@ const METALS: [&str; 3] = ["aluminium", "iron", "titanium"];
 const FRAMES: u32 = 3;
 /// A point with less than this share of its light reflected once is a reflection.
 const DIRECT: f64 = 0.5;
+/// Seeds of scenes that may be looked at while a rule is made, and of those that are only counted.
+const DEVELOPMENT: Range<u64> = 1..4;
+const HELD_OUT: Range<u64> = 201..204;
 
 fn main() {
-    let mut arguments = std::env::args().skip(1);
-    let set = arguments.next().unwrap_or_default();
-    let named: Vec<u64> = arguments
-        .map(|seed| seed.parse().expect("a seed"))
-        .collect();
-    let seeds = match (&*set, named.is_empty()) {
-        (_, false) => named,
-        ("development", _) => (1..=3).collect(),
-        ("held-out", _) => (101..=103).collect(),
-        ("scenes", _) => return scenes(),
-        _ => panic!("expected development, held-out or scenes"),
-    };
-    let seeds_named = seeds
-        .iter()
-        .map(u64::to_string)
-        .collect::<Vec<_>>()
-        .join(", ");
-    let mut page = format!(
+    let folder = std::env::args().nth(1).expect("a folder to write to");
+    if folder == "scenes" {
+        return scenes();
+    }
+    let mut page = String::from(
         "# Reflections found by their flag, and good points flagged\n\n\
-         Made by `cargo run --release --example ghost_flags -- {set}`, of seeds {seeds_named}. A reflection is a point with \
-         less than half of its light reflected once.\n\n\
-         ![Good points flagged over reflections found](ghosts.svg)\n\n\
-         | {set} | points | reflections | found | good flagged | alone in their column, of reflections | of these found |\n\
-         |---|---|---|---|---|---|---|\n"
+         Made by `cargo run --release --example ghost_flags -- docs`. Plates of bare metal with a corner, a pocket, a bore or \
+         ribs, of random size, depth, roughness and turn, three frames of each with speckle and noise. A reflection is a \
+         point with less than half of its light reflected once, by the simulation's truth; the flag GHOST reads images \
+         alone. A reflection is alone where the image has no other line in its column.\n\n\
+         ![Reflections found, good points flagged, and reflections that are alone](ghosts.svg)\n",
     );
-    print!("{page}");
-    let mut row = |text: String| {
-        println!("{text}");
-        page += &(text + "\n");
+    let (set, seeds) = match std::env::args().nth(2).as_deref() {
+        None => ("Held-out", HELD_OUT),
+        Some("development") => ("Development", DEVELOPMENT),
+        Some(other) => panic!("expected development or nothing, not {other}"),
     };
-    let mut all = Tally::default();
-    let mut marks = Vec::new();
+    let _ = write!(
+        page,
+        "\n## {set} scenes\n\nSeeds {} to {}.\n\n\
+         | scenes | points | reflections | of them found | good points flagged | reflections alone | of them found |\n\
+         |---|---|---|---|---|---|---|\n",
+        seeds.start,
+        seeds.end - 1
+    );
+    let (rows, points) = table(seeds);
+    page += &rows;
+    write(&folder, "ghosts.md", &page);
+    write(&folder, "ghosts.svg", &ghosts_plot(&points, set));
+}
+
+fn write(folder: &str, name: &str, text: &str) {
+    std::fs::write(Path::new(folder).join(name), text).expect("a folder that can be written to");
+}
+
+/// A row for each shape and metal, and one for all.
+fn table(seeds: Range<u64>) -> (String, Vec<GhostsPoint>) {
+    let (mut rows, mut points, mut all) = (String::new(), Vec::new(), Tally::default());
     for shape in SHAPES {
         for metal in METALS {
             let mut tally = Tally::default();
-            for &seed in &seeds {
+            for seed in seeds.clone() {
                 tally.add(&measured(shape, metal, seed));
             }
-            row(format!("| {shape}, {metal} {tally}"));
-            marks.push((format!("{shape}, {metal}"), tally.found(), tally.flagged()));
+            eprintln!("{shape}, {metal} {tally}");
+            let _ = writeln!(rows, "| {shape}, {metal} {tally}");
+            points.push(tally.point(shape, metal));
             all.add(&tally);
         }
     }
-    row(format!("| **all** {all}"));
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(match &*set {
-        "held-out" => "docs",
-        _ => "target",
-    });
-    std::fs::write(folder.join("ghosts.md"), page).expect("a folder of the project");
-    std::fs::write(folder.join("ghosts.svg"), chart(&set, &marks)).expect("the same");
+    let _ = writeln!(rows, "| **all** {all}");
+    (rows, points)
 }
 
 /// Points by what they are, and which of them have the flag.
@@ -92,35 +98,48 @@ impl Tally {
         }
     }
 
-    fn found(&self) -> f64 {
-        share(self.ghosts)
+    fn point(&self, shape: &'static str, metal: &'static str) -> GhostsPoint {
+        GhostsPoint {
+            shape,
+            metal,
+            found: share(self.ghosts),
+            flagged: share(self.good),
+            alone: share(self.of_all_ghosts()),
+            alone_found: share(self.alone),
+        }
     }
 
-    fn flagged(&self) -> f64 {
-        share(self.good)
+    /// Reflections that are not alone, and those that are.
+    fn of_all_ghosts(&self) -> [u32; 2] {
+        let alone = sum(self.alone);
+        [sum(self.ghosts) - alone, alone]
     }
 }
 
-/// Of all, in %.
-fn share([without, with]: [u32; 2]) -> f64 {
-    match without + with {
-        0 => 0.0,
-        all => 100.0 * f64::from(with) / f64::from(all),
-    }
+fn sum([without, with]: [u32; 2]) -> u32 {
+    without + with
+}
+
+/// Of all, in %; `None` of none.
+fn share(parts: [u32; 2]) -> Option<f64> {
+    let all = sum(parts);
+    (all > 0).then(|| 100.0 * f64::from(parts[1]) / f64::from(all))
 }
 
 impl std::fmt::Display for Tally {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let sum = |[a, b]: [u32; 2]| a + b;
-        let (good, ghosts, alone) = (sum(self.good), sum(self.ghosts), sum(self.alone));
-        let of_ghosts = share([ghosts - alone, alone]);
+        let percent =
+            |parts| share(parts).map_or("–".to_owned(), |share| format!("{share:.1} %"));
         write!(
             f,
-            "| {} | {ghosts} | {:.0} % | {:.1} % | {of_ghosts:.0} % | {:.0} % |",
-            good + ghosts,
-            self.found(),
-            self.flagged(),
-            share(self.alone)
+            "| {} | {} | {} | {} | {} ({}) | {} |",
+            sum(self.good) + sum(self.ghosts),
+            sum(self.ghosts),
+            percent(self.ghosts),
+            percent(self.good),
+            sum(self.alone),
+            percent(self.of_all_ghosts()),
+            percent(self.alone)
         )
     }
 }
@@ -322,41 +341,4 @@ fn part(shape: &str, key: Key) -> String {
         }
     }
     obj.text
-}
-
-/// Good points flagged (%, up to 20) over reflections found (%).
-fn chart(set: &str, marks: &[(String, f64, f64)]) -> String {
-    let mut svg = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"560\" height=\"420\" font-family=\"sans-serif\" font-size=\"11\">\
-                   <rect width=\"100%\" height=\"100%\" fill=\"white\"/>"
-        .to_owned();
-    let (x, y) = (
-        |found: f64| 60.0 + 4.6 * found,
-        |flagged: f64| 370.0 - 17.0 * flagged.min(20.0),
-    );
-    for tick in [0.0, 25.0, 50.0, 75.0, 100.0] {
-        let (at, good) = (x(tick), tick / 5.0);
-        let _ = write!(
-            svg,
-            "<text x=\"{at}\" y=\"386\" text-anchor=\"middle\">{tick}</text>\
-                             <path d=\"M{at} 30V370M60 {0}H520\" stroke=\"#ddd\"/>\
-                             <text x=\"54\" y=\"{0}\" text-anchor=\"end\">{good}</text>",
-            y(good)
-        );
-    }
-    let _ = write!(
-        svg,
-        "<text x=\"290\" y=\"406\" text-anchor=\"middle\">reflections found, %</text>\
-                         <text x=\"60\" y=\"20\">good points flagged, % ({set})</text>"
-    );
-    for (name, found, flagged) in marks {
-        let _ = write!(
-            svg,
-            "<circle cx=\"{0:.1}\" cy=\"{1:.1}\" r=\"4\" fill=\"#2471a3\"/>\
-                             <text x=\"{2:.1}\" y=\"{1:.1}\">{name}</text>",
-            x(*found),
-            y(*flagged),
-            x(*found) + 6.0
-        );
-    }
-    svg + "</svg>\n"
 }

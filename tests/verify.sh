@@ -133,14 +133,14 @@ for target in stl ply obj scene poses calibration png; do
 done
 
 name='light reflected more than once, against Mitsuba 3'
-command='python3 tests/against_mitsuba.py target/release/lasertrace out/verify/mitsuba'
+command='python3 tests/against_mitsuba.py target/release/examples/light_apart out/verify/mitsuba'
 goal='totals and rows of corners, a pocket and a real part within 1 % and 5 standard errors'
 if [ "$page" = "$out/small.md" ]; then
     skip "$name" "$goal" 'not in the small form' "$command"
 elif ! python3 -c 'import mitsuba, numpy' 2>/dev/null; then
     skip "$name" "$goal" 'no mitsuba and numpy for python3 (pip install mitsuba)' "$command"
 else
-    try build cargo build --release --bin lasertrace
+    try build cargo build --release --example light_apart
     # shellcheck disable=SC2086
     try mitsuba $command
     row "$name" "$(grep -c ': yes$' "$log") of $(grep -c ' over light reflected once' "$log") scenes" "$goal" "$met" "$command"

@@ -27,7 +27,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         seed,
         output: folder,
     } = &arguments;
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let before = Control {
         progress: &|_| {},
         building: Some(&|share| show(&building, share)),

@@ -20,7 +20,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let control = Control {
         progress: &|_| {},
         building: Some(&|share| show(&building, share)),

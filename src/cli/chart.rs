@@ -30,7 +30,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         frames: arguments.frames,
         rounds: arguments.rounds,
     };
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let bar = output.progress(study::chart_steps(&scene, effort), "frames");
     let control = Control {
         progress: &|done| bar.set_position(done),

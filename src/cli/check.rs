@@ -31,7 +31,7 @@ struct Check<'a> {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let control = Control {
         progress: &|_| {},
         building: Some(&|share| show(&building, share)),

@@ -24,7 +24,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         output: out,
     } = arguments;
     let bar = output.progress(run::dataset_samples(&recipe, shard)?, "samples");
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: Some(&|share| show(&building, share)),

@@ -162,7 +162,7 @@ impl Whole {
             .as_ref()
             .map_or(scene.scan.frames as usize, |f| f.len());
         let bar = output.progress(count as u64, "frames");
-        let building = output.share("of the hierarchy built");
+        let building = output.share("prepared");
         let control = Control {
             progress: &|done| bar.set_position(done),
             building: Some(&|share| show(&building, share)),

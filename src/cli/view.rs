@@ -46,7 +46,7 @@ pub fn run(arguments: Arguments, output: &Output, pool: rayon::ThreadPool) -> Re
         None => Some(TcpListener::bind(arguments.listen).map_err(failed())?),
     };
     let scene = pool.install(|| arguments.scene.load(output))?;
-    let building = output.share("of the hierarchy built");
+    let building = output.share("prepared");
     let control = Control {
         progress: &|_| {},
         building: Some(&|share| show(&building, share)),

@@ -89,6 +89,7 @@ impl Plan {
                 false => cutoff_radii(laser, camera, places),
             },
             reflections: None,
+            reflections_noise: None,
             line_half_width_px: line.half_width_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,

@@ -7,6 +7,7 @@ pub(crate) mod axes;
 pub mod chart;
 pub mod color;
 pub mod formats;
+pub mod ghosts_plot;
 pub mod lens_plot;
 pub mod limits_plot;
 #[cfg(feature = "service")]

@@ -7,7 +7,7 @@ use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{Cuts, SensorFigures, cuts};
 use super::simulation::Simulation;
-use super::warnings::{Foreseen, foreseen};
+use super::warnings::{Foreseen, foreseen, of_the_plan};
 use super::{Control, Coverage};
 use crate::error::{Error, Result};
 use crate::plan::rules::Plan;
@@ -54,8 +54,11 @@ pub(crate) fn check_ready(
     let frames = 0..simulation.scene.scan.frames;
     let forecast = forecast_of(simulation, &frames, preparing, control)?;
     let images = !simulation.plan.geometry_only;
-    let Foreseen { sensor, warnings } =
-        foreseen(&simulation.scene, &simulation.accel, frames, images);
+    let Foreseen {
+        sensor,
+        mut warnings,
+    } = foreseen(&simulation.scene, &simulation.accel, frames, images);
+    warnings.extend(of_the_plan(&simulation.plan));
     Ok(Checked {
         scene: simulation.scene.clone(),
         plan: simulation.plan.clone(),

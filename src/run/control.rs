@@ -19,8 +19,8 @@ pub enum Coverage {
 pub struct Control<'a> {
     /// Called with the number of frames done so far, from any thread.
     pub progress: &'a (dyn Fn(u64) + Sync),
-    /// Called with the share of the hierarchy that is built, from any thread, before
-    /// there are frames; `None`: nobody looks.
+    /// Called with the share that is ready of what comes before frames, from any thread: the hierarchy, and how
+    /// reflections are followed; `None`: nobody looks.
     pub building: Option<&'a (dyn Fn(f64) + Sync)>,
     /// Set by anyone, from any thread: the work ends with [`Error::Interrupted`] where it next
     /// asks, a scan after the frames that are in work; it can be resumed.
@@ -28,6 +28,14 @@ pub struct Control<'a> {
 }
 
 impl Control<'_> {
+    /// Tells how much of what comes before frames is ready.
+    pub(crate) fn prepared(&self, share: f64) -> Result<()> {
+        if let Some(building) = self.building {
+            building(share);
+        }
+        self.check()
+    }
+
     pub(crate) fn check(&self) -> Result<()> {
         match self.stop.load(Ordering::Relaxed) {
             true => Err(Error::Interrupted),

@@ -8,6 +8,7 @@ use super::simulation::plan;
 use crate::accel::Accel;
 use crate::error::Result;
 use crate::frame::Sampling;
+use crate::mesh::Watch;
 use crate::plan::accuracy::geometry_only;
 use crate::plan::height_error::quantile;
 use crate::plan::rules::{Effect, EffectKind, Plan};
@@ -88,18 +89,19 @@ fn noise_method(plan: &Plan) -> &'static str {
     }
 }
 
-/// The same over a hierarchy that is there.
-pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>) -> Result<Plan> {
+/// The same over a hierarchy that is there; `watch` hears how far reflections are planned.
+pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>, watch: &Watch) -> Result<Plan> {
     let base = plan(scene, accel);
     let again = MetAgain::of(scene, accel, &base)?;
     let mut plan = direct_plan(scene, accel, base, again.most(scene) > 1)?;
-    let (reflections, effect) = again.planned(scene, accel, &plan)?;
-    plan.reflections = reflections;
+    let (reflections, effect) = again.planned(scene, accel, &plan, watch)?;
+    (plan.reflections, plan.reflections_noise) = reflections.unzip();
     // Before motion and what follows it.
     let motion = |e: &Effect| e.effect == EffectKind::ExposureMotion;
     let at = plan.effects.iter().position(motion);
     plan.effects
         .insert(at.unwrap_or(plan.effects.len()), effect);
+    watch(1.0)?;
     Ok(plan)
 }
 

@@ -2,6 +2,7 @@
 
 use super::control::{Control, Coverage};
 use super::planner::scene_plan_with;
+use super::reflections;
 use super::sensor_figures::PeakCounts;
 use super::simulation::{Simulation, plan};
 use super::survey::Survey;
@@ -42,12 +43,7 @@ pub(crate) fn hierarchy_watched<'a>(
     scene: &'a Scene,
     control: &Control,
 ) -> Result<(Cow<'a, Scene>, Accel)> {
-    hierarchy(scene, &|share| {
-        if let Some(building) = control.building {
-            building(share);
-        }
-        control.check()
-    })
+    hierarchy(scene, &|share| control.prepared(share))
 }
 
 /// A simulation that traces what `coverage` says.
@@ -56,10 +52,13 @@ pub(crate) fn simulation(
     coverage: Coverage,
     control: &Control,
 ) -> Result<Simulation> {
-    let (scene, accel) = hierarchy_watched(scene, control)?;
+    // Planning reflections takes seconds, as building large hierarchies does: each is half of what is shown.
+    let building = if reflections::asked(scene) { 0.5 } else { 1.0 };
+    let (scene, accel) = hierarchy(scene, &|share| control.prepared(building * share))?;
+    let planning = |share| control.prepared(building + (1.0 - building) * share);
     match coverage {
-        Coverage::Footprint => Simulation::of_footprint(&scene, accel),
-        Coverage::Exhaustive => Simulation::of_everything(&scene, accel),
+        Coverage::Footprint => Simulation::of_footprint(&scene, accel, &planning),
+        Coverage::Exhaustive => Simulation::of_everything(&scene, accel, &planning),
     }
 }
 
@@ -78,7 +77,7 @@ pub(crate) fn simulation(
 /// ```
 pub fn scene_plan(scene: &Scene) -> Result<Plan> {
     let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-    scene_plan_with(&scene, &Arc::new(accel))
+    scene_plan_with(&scene, &Arc::new(accel), &|_| Ok(()))
 }
 
 impl Simulation {
@@ -86,24 +85,23 @@ impl Simulation {
     /// failure of Embree. A tolerance that no plan keeps is no error: [`Plan::accuracy`] says so.
     pub fn new(scene: &Scene) -> Result<Simulation> {
         let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_footprint(&scene, accel)
+        Simulation::of_footprint(&scene, accel, &|_| Ok(()))
     }
 
-    /// The same while `control` watches: `building` hears of the hierarchy, which takes most of
-    /// the time. Errors: [`crate::Error::Interrupted`] too.
+    /// The same while `control` watches: `building` hears of the hierarchy, and of the planning of reflections. Errors: [`crate::Error::Interrupted`] too.
     pub fn watched(scene: &Scene, control: &Control) -> Result<Simulation> {
         simulation(scene, Coverage::Footprint, control)
     }
 
-    pub(crate) fn of_footprint(scene: &Scene, accel: Accel) -> Result<Simulation> {
-        let simulation = Simulation::of_everything(scene, accel)?;
+    pub(crate) fn of_footprint(scene: &Scene, accel: Accel, watch: &Watch) -> Result<Simulation> {
+        let simulation = Simulation::of_everything(scene, accel, watch)?;
         Ok(simulation.with_clusters(Arc::new(Clusters::new(&scene.mesh))))
     }
 
     /// One of another scene with the same part, whose hierarchy is shared.
     pub(crate) fn of_same_part(&self, scene: &Scene) -> Result<Simulation> {
         let scene = &exposed(scene, &self.accel);
-        let plan = scene_plan_with(scene, &self.accel)?;
+        let plan = scene_plan_with(scene, &self.accel, &|_| Ok(()))?;
         let other = Simulation::with_plan(scene, self.accel.clone(), plan)?;
         Ok(other.with_clusters_of(self))
     }
@@ -112,12 +110,12 @@ impl Simulation {
     #[doc(hidden)]
     pub fn exhaustive(scene: &Scene) -> Result<Simulation> {
         let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
-        Simulation::of_everything(&scene, accel)
+        Simulation::of_everything(&scene, accel, &|_| Ok(()))
     }
 
-    pub(crate) fn of_everything(scene: &Scene, accel: Accel) -> Result<Simulation> {
+    pub(crate) fn of_everything(scene: &Scene, accel: Accel, watch: &Watch) -> Result<Simulation> {
         let accel = Arc::new(accel);
-        let plan = scene_plan_with(scene, &accel)?;
+        let plan = scene_plan_with(scene, &accel, watch)?;
         Simulation::with_plan(scene, accel, plan)
     }
 

@@ -79,6 +79,11 @@ pub enum Reason {
         /// A quarter of the wavelength.
         quarter_wavelength_um: f64,
     },
+    /// More paths than are allowed would be needed to follow light that is reflected more than once without noise.
+    ReflectionsNoisy {
+        /// Noise of the paths over the sensor's own where either shows: 99 of 100 places have less.
+        times: f64,
+    },
     /// In every frame the part is behind the laser.
     LaserLooksAway,
     /// The light passes the part; its plane at the nearest by so much, in this frame.
@@ -173,6 +178,13 @@ impl Reason {
             } => format!(
                 "None of the {points} points is valid: each has a flag, most of them ({flagged}) \
                  the flag {flag}: {meaning}."
+            ),
+            Reason::ReflectionsNoisy { times } => format!(
+                "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
+                 is still up to {} times the sensor's own: reflections are grainy, and points in them scatter farther \
+                 than stated. Give a greater roughness, a shorter exposure, the mean of scans with several seeds, or \
+                 plan.reflections = 1 for direct light alone.",
+                short(*times)
             ),
             _ => return None,
         })

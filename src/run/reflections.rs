@@ -4,14 +4,17 @@
 use super::pilot::spread_frames;
 use super::simulation::Simulation;
 use crate::accel::Accel;
+use crate::camera::Sensor;
 use crate::error::Result;
-use crate::frame::{Irradiance, Reflections, met_again};
+use crate::frame::{Reflections, met_again};
 use crate::math::rng::{Key, Purpose};
+use crate::mesh::Watch;
 use crate::plan::Plan;
 use crate::plan::rules::{Effect, EffectKind, MAX_REFLECTIONS};
 use crate::scene::Scene;
 use crate::surface::Lobe;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Frames in which it is asked what meets the part again, evenly spread over the scan.
@@ -32,8 +35,8 @@ const SECOND_PILOT: u32 = 8;
 /// 10 %.
 const SIDE: usize = 8;
 /// Noise of paths over the sensor's own, at most.
-const NOISE: f64 = 1.0;
-/// Share of the squares in which it may be more.
+pub(super) const NOISE: f64 = 1.0;
+/// Share of the squares that show light or noise in which it may be more.
 const BEYOND: f64 = 0.01;
 /// Paths from the laser, at least and at most.
 const LEAST: u32 = 1 << 12;
@@ -47,6 +50,11 @@ const ROUGH: f64 = 0.05;
 const PATH_NS: f64 = 2e3;
 const CAMERA_PATH_NS: f64 = 4e3;
 
+/// Whether anything is looked for; of matt parts only if the scene names it.
+pub(super) fn asked(scene: &Scene) -> bool {
+    scene.surface.glossy().next().is_some() || scene.methods.reflections.is_some()
+}
+
 /// What of the laser's light meets the part again after it was reflected once.
 pub(crate) struct MetAgain {
     /// Of that which meets it at all, the largest of frames; `None` of matt parts for which nobody asked.
@@ -58,13 +66,13 @@ pub(crate) struct MetAgain {
 impl MetAgain {
     /// In frames all over the path.
     pub fn of(scene: &Scene, accel: &Arc<Accel>, plan: &Plan) -> Result<MetAgain> {
-        if scene.surface.glossy().next().is_none() && scene.methods.reflections.is_none() {
+        if !asked(scene) {
             return Ok(MetAgain {
                 share: None,
                 frames: Vec::new(),
             });
         }
-        let simulation = Simulation::with_plan(scene, accel.clone(), silent(plan))?;
+        let simulation = silent(scene, accel, plan.clone())?;
         let frames = spread_frames(scene.scan.frames, FRAMES);
         let share = |&frame: &u32| {
             let key = Key::new(0, Purpose::PlanRays).with(frame as u64);
@@ -101,13 +109,14 @@ impl MetAgain {
         methods.reflections.unwrap_or(chosen)
     }
 
-    /// How it is followed in a scene, and what is to be said of it.
+    /// How it is followed in a scene, with the noise of its paths over the sensor's own, and what is to be said of it.
     pub fn planned(
         &self,
         scene: &Scene,
         accel: &Arc<Accel>,
         plan: &Plan,
-    ) -> Result<(Option<Reflections>, Effect)> {
+        watch: &Watch,
+    ) -> Result<(Option<(Reflections, f64)>, Effect)> {
         let most = self.most(scene);
         let percent = 100.0 * self.share.unwrap_or(0.0);
         if most < 2 || plan.geometry_only {
@@ -130,7 +139,7 @@ impl MetAgain {
             );
             return Ok((None, none));
         }
-        let (reflections, noise) = self.paths(scene, accel, plan, most)?;
+        let (reflections, noise) = self.paths(&Pilots::new(scene, accel, plan, most), watch)?;
         let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
         let Reflections {
             from_laser,
@@ -143,24 +152,55 @@ impl MetAgain {
         );
         let why = format!(
             "up to {percent:.1} % of the light meets the part again; the paths' noise is {noise:.2} of the \
-             sensor's own in 99 of 100 places, or less"
+             sensor's own in 99 of 100 places where either shows, or less"
         );
         let mut effect = Effect::new(EffectKind::Reflections, true, method, why);
         let ns = from_laser as f64 * PATH_NS + per_pixel * pixels * CAMERA_PATH_NS;
         effect.cost_ms = Some(ns * 1e-6);
-        Ok((Some(reflections), effect))
+        Ok((Some((reflections, noise)), effect))
     }
 
     /// So many paths that their noise is below the sensor's, and what it is of that.
-    fn paths(
-        &self,
-        scene: &Scene,
-        accel: &Arc<Accel>,
-        plan: &Plan,
-        most: u32,
-    ) -> Result<(Reflections, f64)> {
+    fn paths(&self, pilots: &Pilots, watch: &Watch) -> Result<(Reflections, f64)> {
+        let first = self.frames.len() as f64;
+        let all = first + f64::from(SECOND_PILOT);
+        let mut most_noise = (0.0, self.frames[0]);
+        for (i, &frame) in self.frames.iter().enumerate() {
+            let ratio = pilots.noise(frame, 1.0, &|share| watch((i as f64 + share) / all))?;
+            if ratio > most_noise.0 {
+                most_noise = (ratio, frame);
+            }
+        }
+        let (mut ratio, frame) = most_noise;
+        let mut measured = 1.0;
+        if (ratio / NOISE).powi(2) > f64::from(SECOND_PILOT) {
+            measured = f64::from(SECOND_PILOT);
+            ratio = pilots.noise(frame, measured, &|share| {
+                watch((first + measured * share) / all)
+            })?;
+        }
+        // The variance of stratified paths falls at least as their number grows.
+        let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
+        let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
+        let chosen = needed as f64 / PILOT as f64;
+        Ok((pilots.times(chosen), ratio * (measured / chosen).sqrt()))
+    }
+}
+
+/// Images of few paths, by which it is known how many a scene takes.
+struct Pilots<'a> {
+    scene: &'a Scene,
+    accel: &'a Arc<Accel>,
+    plan: &'a Plan,
+    /// The paths of the first.
+    few: Reflections,
+    seeds: Range<u64>,
+}
+
+impl Pilots<'_> {
+    fn new<'a>(scene: &'a Scene, accel: &'a Arc<Accel>, plan: &'a Plan, most: u32) -> Pilots<'a> {
         let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
-        let pilot = Reflections {
+        let few = Reflections {
             most,
             from_laser: PILOT,
             per_pixel: match needs_camera(scene) {
@@ -168,58 +208,64 @@ impl MetAgain {
                 false => 0.0,
             },
         };
-        let times = |times: f64| Reflections {
+        Pilots {
+            scene,
+            accel,
+            plan,
+            few,
+            seeds: 0..IMAGES,
+        }
+    }
+
+    /// So many times the paths of the first.
+    fn times(&self, times: f64) -> Reflections {
+        Reflections {
             from_laser: (times * PILOT as f64) as u32,
-            per_pixel: times * pilot.per_pixel,
-            ..pilot
+            per_pixel: times * self.few.per_pixel,
+            ..self.few
+        }
+    }
+
+    /// Noise over the sensor's own of so many times the paths in a frame.
+    fn noise(&self, frame: u32, times: f64, watch: &Watch) -> Result<f64> {
+        let plan = Plan {
+            reflections: Some(self.times(times)),
+            ..self.plan.clone()
         };
-        let noise = |frame: u32, reflections: Reflections| -> Result<f64> {
-            let plan = Plan {
-                reflections: Some(reflections),
-                ..silent(plan)
+        let image = |seed: u64| {
+            let scene = Scene {
+                seed,
+                ..self.scene.clone()
             };
-            let images = (0..IMAGES).map(|seed| {
-                let scene = Scene {
-                    seed,
-                    ..scene.clone()
-                };
-                let simulation = Simulation::with_plan(&scene, accel.clone(), plan.clone())?;
-                Ok(simulation.ghosts(frame))
-            });
-            let mut ratios = noise_ratios(scene, &images.collect::<Result<Vec<_>>>()?);
-            ratios.sort_by(f64::total_cmp);
-            let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
-            Ok(ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0))
+            let image = silent(&scene, self.accel, plan.clone())?.ghosts(frame);
+            watch((seed + 1 - self.seeds.start) as f64 / IMAGES as f64)?;
+            let wavelength = scene.laser.beam.wavelength;
+            let electrons = scene.camera.sensor.electrons_per_irradiance(wavelength);
+            Ok((image.dense().iter().map(|&e| e as f64 * electrons)).collect())
         };
-        let mut most_noise = (0.0, self.frames[0]);
-        for &frame in &self.frames {
-            let ratio = noise(frame, pilot)?;
-            if ratio > most_noise.0 {
-                most_noise = (ratio, frame);
-            }
-        }
-        let (mut ratio, frame) = most_noise;
-        let mut measured = 1.0;
-        if (ratio / NOISE).powi(2) > SECOND_PILOT as f64 {
-            measured = SECOND_PILOT as f64;
-            ratio = noise(frame, times(measured))?;
-        }
-        // The variance of stratified paths falls at least as their number grows.
-        let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
-        let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
-        let chosen = needed as f64 / PILOT as f64;
-        Ok((times(chosen), ratio * (measured / chosen).sqrt()))
+        let images = (self.seeds.clone())
+            .map(image)
+            .collect::<Result<Vec<_>>>()?;
+        let mut ratios = noise_ratios(&self.scene.camera.sensor, &images);
+        ratios.sort_by(f64::total_cmp);
+        let at = ((1.0 - BEYOND) * ratios.len() as f64) as usize;
+        Ok(ratios.get(at).or(ratios.last()).copied().unwrap_or(0.0))
     }
 }
 
-/// Without speckle and noise.
-fn silent(plan: &Plan) -> Plan {
-    Plan {
+/// Without speckle and noise, and without what is stated of errors, which takes long to work out for speckle.
+fn silent(scene: &Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
+    let scene = Scene {
+        speckle: None,
+        ..scene.clone()
+    };
+    let plan = Plan {
         speckle: None,
         noise: false,
         blur: plan.blur.without_field(),
-        ..plan.clone()
-    }
+        ..plan
+    };
+    Simulation::with_plan(&scene, accel.clone(), plan)
 }
 
 /// Whether the camera may see what no path from the laser finds: mirrors, and lobes that are narrow.
@@ -233,29 +279,50 @@ fn needs_camera(scene: &Scene) -> bool {
     })
 }
 
-/// Standard deviation of images over that of the sensor's own noise in them, in each square with light that is not
-/// full.
-fn noise_ratios(scene: &Scene, images: &[Irradiance]) -> Vec<f64> {
-    let sensor = &scene.camera.sensor;
-    let electrons = sensor.electrons_per_irradiance(scene.laser.beam.wavelength);
+/// What a square of pixels has, summed over them.
+#[derive(Clone, Copy, Default)]
+struct Square {
+    pixels: f64,
+    /// Electrons.
+    light: f64,
+    /// Variance of images.
+    paths: f64,
+}
+
+impl Square {
+    /// Standard deviation of images over the sensor's own, whose variance in the dark is `dark`. `None` where light and
+    /// noise are both below that, so that neither shows, and where pixels are full. All is of the square: a pixel that
+    /// one of few paths fills need not be full of many.
+    fn ratio(&self, dark: f64, full_well: f64) -> Option<f64> {
+        let [light, paths] = [self.light, self.paths].map(|sum| sum / self.pixels);
+        let shows = light * light >= dark || paths >= dark;
+        (shows && light < full_well).then(|| (paths / (light + dark)).sqrt())
+    }
+}
+
+/// Standard deviation of images, electrons row by row, over that of the sensor's own noise in them, in each square that
+/// shows any.
+fn noise_ratios(sensor: &Sensor, images: &[Vec<f64>]) -> Vec<f64> {
     let read = sensor.noise.map_or(0.0, |noise| noise.read_noise_e);
     let dark = read * read + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
-    let columns = images[0].columns();
-    let squares = columns.div_ceil(SIDE);
-    let images: Vec<Vec<f32>> = images.iter().map(Irradiance::dense).collect();
+    let columns = sensor.resolution.x as usize;
+    let across = columns.div_ceil(SIDE);
     let count = images.len() as f64;
-    let mut sums = vec![[0.0; 2]; squares * (images[0].len() / columns).div_ceil(SIDE)];
+    let mut squares = vec![Square::default(); across * (images[0].len() / columns).div_ceil(SIDE)];
     for pixel in 0..images[0].len() {
-        let values = images.iter().map(|image| image[pixel] as f64 * electrons);
+        let values = images.iter().map(|image| image[pixel]);
         let (sum, square) = values.fold((0.0, 0.0), |(s, q), e| (s + e, q + e * e));
         let mean = sum / count;
-        if sum > 0.0 && mean < sensor.full_well_e {
-            let variance = (square / count - mean * mean) * count / (count - 1.0);
-            let square = &mut sums[pixel / columns / SIDE * squares + pixel % columns / SIDE];
-            square[0] += variance.max(0.0);
-            square[1] += mean + dark;
-        }
+        let variance = (square / count - mean * mean) * count / (count - 1.0);
+        let square = &mut squares[pixel / columns / SIDE * across + pixel % columns / SIDE];
+        square.pixels += 1.0;
+        square.light += mean;
+        square.paths += variance.max(0.0);
     }
-    let lit = sums.iter().filter(|[_, sensor]| *sensor > 0.0);
-    lit.map(|[paths, sensor]| (paths / sensor).sqrt()).collect()
+    let ratio = |square: &Square| square.ratio(dark, sensor.full_well_e);
+    squares.iter().filter_map(ratio).collect()
 }
+
+#[cfg(test)]
+#[path = "reflections_tests.rs"]
+mod tests;

@@ -21,6 +21,7 @@ fn base() -> Plan {
         blurred_share: 0.0,
         defocus_noise_factor: 1.0,
         reflections: None,
+        reflections_noise: None,
         airy_radius_px: 0.0,
         px_per_mm: 1.0,
         scheimpflug_tilt_deg: None,

@@ -3,6 +3,7 @@
 
 use super::housing::touch;
 use super::reason::{Reason, Warning};
+use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
 use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
@@ -10,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::flags::count_flags;
 use crate::math::DVec3;
+use crate::plan::Plan;
 use crate::profile::blinding_height;
 use crate::scene::{Motion, Scene, Unit};
 use crate::surface::Glossy;
@@ -59,6 +61,12 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
         sensor,
         warnings: reasons.into_iter().map(Warning::from).collect(),
     }
+}
+
+/// What of a plan is not as good as it should be.
+pub(crate) fn of_the_plan(plan: &Plan) -> Option<Warning> {
+    let times = plan.reflections_noise.filter(|&times| times > NOISE)?;
+    Some(Reason::ReflectionsNoisy { times }.into())
 }
 
 /// What a scan gave, and why if that is nothing.

@@ -123,7 +123,7 @@ impl<'s> Tiers<'s> {
         let mut tiers = Tiers::none(scene, accel);
         let base = crate::run::simulation::plan(scene, &tiers.accel);
         let n = base.samples_per_side;
-        let plan = scene_plan_with(scene, &tiers.accel)?;
+        let plan = scene_plan_with(scene, &tiers.accel, &|_| Ok(()))?;
         let most = full(&base, &plan);
         let side = most.samples_per_side;
         let name = format!("full model: every pixel, {side} × {side} rays in each");

@@ -53,7 +53,7 @@ impl Metal {
     }
 
     /// Without what several facets reflect: for comparing with programs that leave it out.
-    #[cfg(test)]
+    #[doc(hidden)]
     pub fn once(self) -> Metal {
         Metal {
             several: 0.0,

@@ -1,0 +1,159 @@
+use super::super::warnings::of_the_plan;
+use super::*;
+use crate::error::Error;
+use crate::run::ready::hierarchy;
+use std::path::Path;
+
+const SIDE_PX: u32 = 256;
+
+fn sensor(read_noise_e: f64) -> Sensor {
+    let mut sensor = crate::camera::fixture().sensor;
+    sensor.resolution = glam::UVec2::splat(SIDE_PX);
+    sensor.full_well_e = 15e3;
+    sensor.noise = Some(crate::camera::Noise {
+        read_noise_e,
+        ..Default::default()
+    });
+    sensor
+}
+
+/// Images of an even light of 100 electrons by paths that each fall on a pixel by chance, so many a pixel on
+/// average.
+fn images(paths_per_pixel: f64) -> Vec<Vec<f64>> {
+    let pixels = SIDE_PX.pow(2) as usize;
+    let paths = (paths_per_pixel * pixels as f64) as u64;
+    let image = |seed| {
+        let key = Key::new(seed, Purpose::Reflections);
+        let mut image = vec![0.0; pixels];
+        for path in 0..paths {
+            image[(key.uniform(path) * pixels as f64) as usize] += 100.0 / paths_per_pixel;
+        }
+        image
+    };
+    (0..IMAGES).map(image).collect()
+}
+
+/// Closed form for n paths a pixel: variance 100²/n, over 100 and the sensor's own in the dark.
+fn expected(paths_per_pixel: f64, sensor: &Sensor) -> f64 {
+    let rounding = 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
+    let dark = sensor.noise.map_or(0.0, |noise| noise.read_noise_e.powi(2)) + rounding;
+    (1e4 / paths_per_pixel / (100.0 + dark)).sqrt()
+}
+
+fn quantile(mut ratios: Vec<f64>, share: f64) -> f64 {
+    ratios.sort_by(f64::total_cmp);
+    ratios[(share * ratios.len() as f64) as usize]
+}
+
+/// Of 64 paths a pixel each square of 192 degrees of freedom knows the noise to 5.1 %, so that 99 of 100 are below 1.119
+/// times it, which 1024 squares know to 0.6 %: within five of these and 1 % for the skew of χ.
+#[test]
+fn noise_of_many_paths_is_that_of_the_closed_form() {
+    let sensor = sensor(10.0);
+    let ratio = quantile(noise_ratios(&sensor, &images(64.0)), 0.99);
+    let times = ratio / expected(64.0, &sensor);
+    assert!((times - 1.119).abs() < 0.04, "{times}");
+}
+
+/// A path of a thousandth of a pixel's light fills the pixel that it meets, and not those of many paths: its noise counts. A
+/// square that one of them met has more than its share of noise, and none less than what many would leave.
+#[test]
+fn pixels_that_one_path_fills_are_not_left_out() {
+    let sensor = sensor(10.0);
+    let few = 1.0 / 1024.0;
+    assert!(100.0 / few / IMAGES as f64 > sensor.full_well_e);
+    let ratios = noise_ratios(&sensor, &images(few));
+    assert!(!ratios.is_empty());
+    assert!(ratios.iter().all(|&ratio| ratio > expected(few, &sensor)));
+}
+
+/// Faint light all over the image does not make the noise of a small bright place rare, and light that fills pixels
+/// has none.
+#[test]
+fn places_count_where_light_or_noise_shows() {
+    let sensor = sensor(10.0);
+    let pixels = SIDE_PX.pow(2) as usize;
+    let image = |seed: u64| {
+        let mut image = vec![0.01; pixels];
+        image[0] = 1000.0 * (1 + seed % 2) as f64;
+        for row in 96..104 {
+            image[row * SIDE_PX as usize..][..SIDE_PX as usize].fill(2.0 * sensor.full_well_e);
+        }
+        image
+    };
+    let images: Vec<Vec<f64>> = (0..IMAGES).map(image).collect();
+    let ratios = noise_ratios(&sensor, &images);
+    assert!(ratios.len() == 1 && ratios[0] > 1.0, "{ratios:?}");
+}
+
+/// `scenes/corner` of rough iron, on few pixels and in so little light that few paths do, and its plan without
+/// reflections.
+fn groove() -> (Scene, Arc<Accel>, Plan) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/corner");
+    let text = std::fs::read_to_string(root.join("scene.toml")).unwrap();
+    let metal = "[part.surface]\nmetal = { name = \"iron\", roughness = 0.3 }";
+    let text = text
+        .replace("reflectance = 0.5", metal)
+        .replace("resolution_px = [640, 480]", "resolution_px = [160, 120]")
+        .replace("pixel_pitch_um = 11", "pixel_pitch_um = 44")
+        .replace(
+            "exposure_ms = 0.05",
+            "exposure = \"auto\"\nexposure_share = 0.01",
+        );
+    let scene = Scene::parse(&text, &root).unwrap();
+    let (scene, accel) = hierarchy(&scene, &|_| Ok(())).unwrap();
+    let (scene, accel) = (scene.into_owned(), Arc::new(accel));
+    let plan = crate::run::simulation::plan(&scene, &accel);
+    (scene, accel, plan)
+}
+
+/// What is foretold is what other seeds find with as many paths as were chosen, in the noisiest of the frames. Each is a
+/// quantile of 99 of 100 of some hundred squares, so about the largest of them but one; that of squares which know
+/// their noise to 5 % strays by as much, and by several times that where few paths carry much: within a third. Who
+/// watches hears of every image.
+#[test]
+fn the_plan_foretells_the_noise_of_its_paths() {
+    let (scene, accel, plan) = groove();
+    let again = MetAgain::of(&scene, &accel, &plan).unwrap();
+    let shares = std::sync::Mutex::new(Vec::new());
+    let watch = |share: f64| -> Result<()> {
+        shares.lock().unwrap().push(share);
+        Ok(())
+    };
+    let (planned, _) = again.planned(&scene, &accel, &plan, &watch).unwrap();
+    let (reflections, foretold) = planned.unwrap();
+    let shares = shares.into_inner().unwrap();
+    assert!(shares.len() >= again.frames.len() * IMAGES as usize);
+    assert!(shares.is_sorted() && shares[0] > 0.0 && shares[shares.len() - 1] <= 1.0);
+    let pilots = Pilots {
+        seeds: 100..100 + IMAGES,
+        ..Pilots::new(&scene, &accel, &plan, reflections.most)
+    };
+    let times = reflections.from_laser as f64 / PILOT as f64;
+    let found = (again.frames.iter())
+        .map(|&frame| pilots.noise(frame, times, &|_| Ok(())).unwrap())
+        .fold(0.0, f64::max);
+    assert!(reflections.from_laser < MOST);
+    println!("{reflections:?}: {foretold:.3} foretold, {found:.3} found");
+    assert!((found / foretold).ln().abs() < 0.3, "{found} {foretold}");
+}
+
+/// Planning ends where it is told to.
+#[test]
+fn planning_can_be_stopped() {
+    let (scene, accel, plan) = groove();
+    let again = MetAgain::of(&scene, &accel, &plan).unwrap();
+    let stopped = again.planned(&scene, &accel, &plan, &|_| Err(Error::Interrupted));
+    assert!(matches!(stopped, Err(Error::Interrupted)));
+}
+
+#[test]
+fn more_noise_than_the_sensors_is_warned_of() {
+    let (.., mut plan) = groove();
+    for (noise, warned) in [(None, false), (Some(0.98), false), (Some(4.6), true)] {
+        plan.reflections_noise = noise;
+        let warning = of_the_plan(&plan);
+        assert_eq!(warning.is_some(), warned, "{noise:?}");
+        assert!(warning.is_none_or(|warning| warning.message.contains("up to 4.60 times")));
+    }
+}
