@@ -9,7 +9,6 @@ cd "$(dirname "$0")/.."
 out=$(mkdir -p "${1:?usage: tests/ways_in.sh OUT}" && cd "$1" && pwd)
 export PATH="$PATH:${CARGO_HOME:-$HOME/.cargo}/bin" CARGO_TERM_COLOR=never CARGO_TARGET_DIR=$out/target
 example=scenes/bracket/scene.toml
-failed=0
 
 # The README's code in a language.
 code_of() {
@@ -28,7 +27,6 @@ way() {
     else
         tail -n 20 "$out/$name.log" >&2
         echo "| $name | failed | – |"
-        failed=1
     fi
 }
 
@@ -93,7 +91,8 @@ ask_service() {
 rust() {
     mkdir -p "$out/rust/src"
     code_of rust >"$out/rust/src/main.rs"
-    printf '[package]\nname = "first"\nedition = "2024"\n[dependencies]\nlasertrace = { path = "%s", %s }\n' \
+    # A workspace of its own, as OUT may lie in the project's.
+    printf '[workspace]\n[package]\nname = "first"\nedition = "2024"\n[dependencies]\nlasertrace = { path = "%s", %s }\n' \
         "$PWD" 'default-features = false, features = ["embree"]' >"$out/rust/Cargo.toml"
     cargo run --release --manifest-path "$out/rust/Cargo.toml" | tee "$out/rust.txt"
 }
@@ -137,4 +136,4 @@ anew() {
     way c c.txt anew c
 } | tee "$out/ways.md"
 rm -rf "$CARGO_TARGET_DIR"
-exit $failed
+! grep -q '| failed |' "$out/ways.md"
