@@ -291,6 +291,20 @@ const WORTHLESS: &[Case] = &[
         &[("step_mm = 0.5", "step_mm = 0")],
         &["all 3 frames are taken at the same place"],
     ),
+    case(
+        "light goes to and fro in a groove of metal, and its paths are too few",
+        &[
+            (PLANE, "mesh = { file = \"groove.obj\", unit = \"mm\" }"),
+            (
+                "reflectance = 0.5",
+                "surface = { metal = { name = \"iron\", roughness = 0.3 } }",
+            ),
+        ],
+        &[
+            "followed by as many paths as are allowed",
+            "plan.reflections = 1",
+        ],
+    ),
 ];
 
 /// What `accept` and `emva` refuse.
@@ -470,6 +484,10 @@ fn contradiction((what, from, to, words): &(&str, &str, &str, &str)) -> String {
     message.to_owned()
 }
 
+/// A groove of 90° along y.
+const GROOVE: &str = "v -8 -8 8\nv -8 8 8\nv 0 -8 0\nv 0 8 0\nv 8 -8 8\nv 8 8 8\n\
+                      f 1 3 4\nf 1 4 2\nf 3 5 6\nf 3 6 4\n";
+
 /// A square of 16 units and one of 0.016.
 const SQUARE: &str = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
 
@@ -481,6 +499,7 @@ fn folder_of(case: &Case) -> tempfile::TempDir {
     }
     let folder = folder_with(&text);
     fs::write(folder.path().join("part.obj"), SQUARE).unwrap();
+    fs::write(folder.path().join("groove.obj"), GROOVE).unwrap();
     let small = SQUARE.replace('8', "0.008");
     fs::write(folder.path().join("metres.obj"), small).unwrap();
     folder
