@@ -98,7 +98,7 @@ pub(super) struct References {
 }
 
 /// The same, texels: 1 % of a grain.
-const MISSED: f64 = 0.03;
+pub(super) const MISSED: f64 = 0.03;
 
 impl References {
     pub fn new(

@@ -378,7 +378,7 @@ impl<'a> PixelReader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::reference::Reference;
+    use super::super::reference::{MISSED, Reference};
     use super::*;
     use crate::camera::fixture;
     use crate::math::{Aperture, DVec3};
@@ -401,7 +401,7 @@ mod tests {
                 normal: DVec3::NEG_Z,
                 source: motion::Source::Point(DVec3::new(0.0, 120.0, 20.0)),
                 pupil_centre: DVec3::ZERO,
-                pupil_diameter: camera.lens.focal_length / camera.lens.f_number,
+                pupil_diameter: camera.lens.pupil_diameter(),
                 image_x: DVec3::X,
                 focus_distance: camera.lens.focus_distance,
                 magnification: camera.lens.image_distance() / DEPTH,
@@ -420,16 +420,19 @@ mod tests {
     }
 
     /// Four pixels side by side, row by row, are read as each place is by itself: of one field, and of strips where
-    /// the surface is tilted. A place is missed by up to [`MISSED`](super::super::reference) along either axis,
-    /// r = 0.03·√2/2.65 grains, which changes intensities by 2·(1 − μ²) in the mean square, 1 − μ² = (πr)²/4 for a
+    /// the surface is tilted. A place is missed by up to [`MISSED`] texels along either axis, r = √2
+    /// times that in grains, which changes intensities by 2·(1 − μ²) in the mean square, 1 − μ² = (πr)²/4 for a
     /// round pupil and so small an r.
     #[test]
     fn four_pixels_side_by_side_are_read_as_each_by_itself() {
         let camera = fixture();
-        let fields = FrameFields::new(&field_spec(1, Aperture::Circle), Coherence::FULL).unwrap();
+        let spec = field_spec(1, Aperture::Circle);
+        let fields = FrameFields::new(&spec, Coherence::FULL).unwrap();
         let grain = camera.speckle_angle(660e-6);
         let map = fields.map(grain, camera.lens.image_distance());
-        let missed = 0.03 * 2f64.sqrt() / 2.65 * std::f64::consts::PI;
+        let missed = MISSED * 2f64.sqrt() / spec.texels_per_speckle;
+        // 2·(πr)²/4.
+        let limit = ((std::f64::consts::PI * missed).powi(2) / 2.0) as f32;
         let place = PupilPlace {
             shift: DVec2::new(0.4, 0.0),
             defocus: 0.0,
@@ -467,7 +470,6 @@ mod tests {
                 }
             }
             let count = (4 * fours * rows) as f32;
-            let limit = (missed * missed / 2.0) as f32;
             assert!(missed_by / count <= limit, "{} {limit}", missed_by / count);
             assert!(apart / count > 10.0 * limit, "{}", apart / count);
         }

@@ -7,7 +7,7 @@ use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{Cuts, SensorFigures, cuts};
 use super::simulation::Simulation;
-use super::warnings::{Foreseen, foreseen, of_the_plan};
+use super::warnings::{Foreseen, foreseen_of};
 use super::{Control, Coverage};
 use crate::error::{Error, Result};
 use crate::plan::rules::Plan;
@@ -53,12 +53,7 @@ pub(crate) fn check_ready(
 ) -> Result<Checked> {
     let frames = 0..simulation.scene.scan.frames;
     let forecast = forecast_of(simulation, &frames, preparing, control)?;
-    let images = !simulation.plan.geometry_only;
-    let Foreseen {
-        sensor,
-        mut warnings,
-    } = foreseen(&simulation.scene, &simulation.accel, frames, images);
-    warnings.extend(of_the_plan(&simulation.plan));
+    let Foreseen { sensor, warnings } = foreseen_of(simulation, frames);
     Ok(Checked {
         scene: simulation.scene.clone(),
         plan: simulation.plan.clone(),

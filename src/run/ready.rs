@@ -88,7 +88,8 @@ impl Simulation {
         Simulation::of_footprint(&scene, accel, &|_| Ok(()))
     }
 
-    /// The same while `control` watches: `building` hears of the hierarchy, and of the planning of reflections. Errors: [`crate::Error::Interrupted`] too.
+    /// The same while `control` watches: `building` hears of the hierarchy, and of the planning of reflections.
+    /// Errors: [`crate::Error::Interrupted`] too.
     pub fn watched(scene: &Scene, control: &Control) -> Result<Simulation> {
         simulation(scene, Coverage::Footprint, control)
     }

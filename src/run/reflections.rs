@@ -72,7 +72,7 @@ impl MetAgain {
                 frames: Vec::new(),
             });
         }
-        let simulation = silent(scene, accel, plan.clone())?;
+        let simulation = silent(scene.clone(), accel, plan.clone())?;
         let frames = spread_frames(scene.scan.frames, FRAMES);
         let share = |&frame: &u32| {
             let key = Key::new(0, Purpose::PlanRays).with(frame as u64);
@@ -237,10 +237,14 @@ impl Pilots<'_> {
                 seed,
                 ..self.scene.clone()
             };
-            let image = silent(&scene, self.accel, plan.clone())?.ghosts(frame);
+            let image = silent(scene, self.accel, plan.clone())?.ghosts(frame);
             watch((seed + 1 - self.seeds.start) as f64 / IMAGES as f64)?;
-            let wavelength = scene.laser.beam.wavelength;
-            let electrons = scene.camera.sensor.electrons_per_irradiance(wavelength);
+            let wavelength = self.scene.laser.beam.wavelength;
+            let electrons = self
+                .scene
+                .camera
+                .sensor
+                .electrons_per_irradiance(wavelength);
             Ok((image.dense().iter().map(|&e| e as f64 * electrons)).collect())
         };
         let images = (self.seeds.clone())
@@ -254,10 +258,10 @@ impl Pilots<'_> {
 }
 
 /// Without speckle and noise, and without what is stated of errors, which takes long to work out for speckle.
-fn silent(scene: &Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
+fn silent(scene: Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
     let scene = Scene {
         speckle: None,
-        ..scene.clone()
+        ..scene
     };
     let plan = Plan {
         speckle: None,

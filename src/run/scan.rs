@@ -324,10 +324,7 @@ fn judge(
     });
     control.check()?;
     let mut summary = summary(scene, frames, (&points, measured), out);
-    let images = !simulation.plan.geometry_only;
-    let Foreseen { mut warnings, .. } =
-        warnings::foreseen(scene, &simulation.accel, frames.clone(), images);
-    warnings.extend(warnings::of_the_plan(&simulation.plan));
+    let Foreseen { warnings, .. } = warnings::foreseen_of(simulation, frames.clone());
     summary.warnings = warnings::found(&points, frames.len(), &warnings);
     summary.alignment = alignment;
     summary.accuracy = simulation.plan.accuracy.clone();

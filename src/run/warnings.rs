@@ -5,6 +5,7 @@ use super::housing::touch;
 use super::reason::{Reason, Warning};
 use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
+use super::simulation::Simulation;
 use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
@@ -63,8 +64,17 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
     }
 }
 
-/// What of a plan is not as good as it should be.
-pub(crate) fn of_the_plan(plan: &Plan) -> Option<Warning> {
+/// The same of a simulation that is ready, with what its plan could not do as it should.
+pub(crate) fn foreseen_of(simulation: &Simulation, frames: Range<u32>) -> Foreseen {
+    let Simulation { scene, plan, .. } = simulation;
+    let images = !plan.geometry_only;
+    let mut foreseen = foreseen(scene, &simulation.accel, frames, images);
+    foreseen.warnings.extend(of_the_plan(plan));
+    foreseen
+}
+
+/// What its paths leave of noise, if that is more than the sensor's own.
+pub(super) fn of_the_plan(plan: &Plan) -> Option<Warning> {
     let times = plan.reflections_noise.filter(|&times| times > NOISE)?;
     Some(Reason::ReflectionsNoisy { times }.into())
 }
