@@ -107,43 +107,11 @@ static bool any_of_eight(const int *valid) {
   return any;
 }
 
-/* Ray i of 16 by itself. */
-static void intersect_one(RTCScene scene, struct RTCRayHit16 *rays, int i) {
-  struct RTCRayHit one;
-  one.ray.org_x = rays->ray.org_x[i];
-  one.ray.org_y = rays->ray.org_y[i];
-  one.ray.org_z = rays->ray.org_z[i];
-  one.ray.tnear = rays->ray.tnear[i];
-  one.ray.dir_x = rays->ray.dir_x[i];
-  one.ray.dir_y = rays->ray.dir_y[i];
-  one.ray.dir_z = rays->ray.dir_z[i];
-  one.ray.time = rays->ray.time[i];
-  one.ray.tfar = rays->ray.tfar[i];
-  one.ray.mask = rays->ray.mask[i];
-  one.ray.id = rays->ray.id[i];
-  one.ray.flags = rays->ray.flags[i];
-  one.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-  lt_intersect1(scene, &one);
-  rays->ray.tfar[i] = one.ray.tfar;
-  rays->hit.Ng_x[i] = one.hit.Ng_x;
-  rays->hit.Ng_y[i] = one.hit.Ng_y;
-  rays->hit.Ng_z[i] = one.hit.Ng_z;
-  rays->hit.u[i] = one.hit.u;
-  rays->hit.v[i] = one.hit.v;
-  rays->hit.primID[i] = one.hit.primID;
-  rays->hit.geomID[i] = one.hit.geomID;
-}
-
 void lt_intersect16(RTCScene scene, bool coherent, uint32_t width, const int *valid,
                     struct RTCRayHit16 *rays) {
   ARGUMENTS(Intersect, coherent);
   if (width == 16) {
     INTERSECT(16, valid, rays);
-    return;
-  }
-  if (width == 1) {
-    for (int i = 0; i < 16; ++i)
-      if (valid[i]) intersect_one(scene, rays, i);
     return;
   }
   for (int first = 0; first < 16; first += 8) {

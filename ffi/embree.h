@@ -52,7 +52,7 @@ void lt_scene_release(RTCScene scene);
 
 /* Rays that this machine traces together, 16 or 8. */
 uint32_t lt_packet_width(RTCDevice device);
-/* 16 rays, closest hit and any hit, `width` of them together (closest hits also 1); `coherent`
+/* 16 rays, closest hit and any hit, `width` of them together; `coherent`
  * says that they run side by side. `valid` holds -1 for a ray to be traced and 0 for one to be left out;
  * all pointers are 64-byte aligned. */
 void lt_intersect16(RTCScene scene, bool coherent, uint32_t width, const int *valid,

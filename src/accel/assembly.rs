@@ -201,6 +201,9 @@ impl Accel {
         anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
+        if rays.is_empty() {
+            return [None; WIDTH];
+        }
         match &self.copies {
             None => self.hierarchy.closest(rays, some, anywhere, wanted),
             Some(copies) => {
@@ -260,6 +263,9 @@ impl Accel {
     /// Whether each of up to 16 coherent rays meets anything, as bits.
     #[doc(hidden)]
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
+        if rays.is_empty() {
+            return 0;
+        }
         let Some(copies) = &self.copies else {
             return self.hierarchy.occluded(rays);
         };

@@ -18,6 +18,7 @@
 //! outside the part) one more ray from their origin tells.
 
 use super::embree::Tree;
+use super::lanes::Lanes;
 use super::part_box::{PartBox, Side};
 use super::refine::{Refined, across, refine};
 use super::watertight::Sheared;
@@ -43,12 +44,6 @@ pub(super) struct Doubt {
 }
 
 impl Doubt {
-    pub const NONE: Doubt = Doubt {
-        ray: 0,
-        triangle: 0,
-        t: 0.0,
-    };
-
     /// That of a ray which meets nothing and should.
     pub fn of_nothing(number: usize, ray: &Ray) -> Doubt {
         Doubt {
@@ -123,9 +118,14 @@ fn beyond(tree: &Tree, part: &PartBox, ray: &Ray, mut triangle: u32, mut t: f64)
             ..*ray
         };
         let mut next = None;
-        tree.closest(&[onward], 1, part, |_, triangle, further, _| {
-            next = Some((triangle, passed + further));
-        });
+        tree.closest(
+            &Lanes::new(&[onward]),
+            1,
+            part,
+            |_, triangle, further, _| {
+                next = Some((triangle, passed + further));
+            },
+        );
         (triangle, t) = next?;
         let corners = tree.mesh().triangle(triangle as usize);
         match refine(ray, triangle, corners, t, part.tolerance()) {
@@ -189,15 +189,20 @@ fn seek(
         }
         let is_inside = |doubt: &Doubt| inside >> doubt.ray & 1 == 1;
         let mut lost = [None; WIDTH];
-        tree.closest(&beside[..count], u16::MAX, part, |k, triangle, t, side| {
-            let doubt = &astray[k / AROUND];
-            // At a sharp edge f32 may take the back for the nearer.
-            if (side == Side::Back) == is_inside(doubt) && t < doubt.t + part.resolution() {
-                let corners = tree.mesh().triangle(triangle as usize);
-                let tolerance = part.final_tolerance();
-                lost[k] = refine(&rays[doubt.ray], triangle, corners, t, tolerance).hit();
-            }
-        });
+        tree.closest(
+            &Lanes::new(&beside[..count]),
+            u16::MAX,
+            part,
+            |k, triangle, t, side| {
+                let doubt = &astray[k / AROUND];
+                // At a sharp edge f32 may take the back for the nearer.
+                if (side == Side::Back) == is_inside(doubt) && t < doubt.t + part.resolution() {
+                    let corners = tree.mesh().triangle(triangle as usize);
+                    let tolerance = part.final_tolerance();
+                    lost[k] = refine(&rays[doubt.ray], triangle, corners, t, tolerance).hit();
+                }
+            },
+        );
         for (doubt, lost) in astray.iter().zip(lost.chunks(AROUND)) {
             let ray = &rays[doubt.ray];
             let lost = || lost.iter().flatten();

@@ -25,7 +25,9 @@ fn raw(mesh: &Mesh, ray: &Ray) -> Option<u32> {
     let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(&Arc::new(mesh.clone()), &part, 1, &|_| Ok(())).unwrap();
     let mut met = None;
-    tree.closest(&[*ray], 1, &part, |_, triangle, _, _| met = Some(triangle));
+    tree.closest(&Lanes::new(&[*ray]), 1, &part, |_, triangle, _, _| {
+        met = Some(triangle)
+    });
     met
 }
 

@@ -4,6 +4,7 @@
 //! they are entered with f32 rays relative to one middle of all.)
 
 use super::clusters::HalfSpace;
+use super::lanes::Lanes;
 use super::part_box::PartBox;
 use super::rust_bvh::tree_over;
 use super::{Ray, WIDTH};
@@ -51,27 +52,18 @@ pub(super) struct Packet {
 
 impl Packet {
     fn new(rays: &[Ray], part: &PartBox) -> Packet {
-        assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
+        let inside = Lanes::new(rays).inside(part, None);
         let mut packet = Packet {
-            origin: [[0.0; WIDTH]; 3],
-            inverse: [[1.0; WIDTH]; 3],
-            advanced: [0.0; WIDTH],
+            origin: inside.origin,
+            // Not NaN at a face that the ray runs along.
+            inverse: (inside.direction)
+                .map(|lane| lane.map(|d| 1.0 / d.abs().max(f32::EPSILON).copysign(d))),
+            advanced: inside.advanced,
             reach: [-1.0; WIDTH],
             slack: part.resolution(),
         };
-        for (i, ray) in rays.iter().enumerate() {
-            let Some(inside) = part.inside(ray) else {
-                continue;
-            };
-            // Not NaN at a face that the ray runs along.
-            let steps = ray.direction.as_vec3().to_array();
-            let steps = steps.map(|d| d.abs().max(f32::EPSILON).copysign(d));
-            for (axis, step) in steps.into_iter().enumerate() {
-                packet.origin[axis][i] = inside.origin[axis];
-                packet.inverse[axis][i] = 1.0 / step;
-            }
-            packet.advanced[i] = inside.advanced;
-            packet.reach[i] = (inside.length + packet.slack) as f32;
+        for i in (0..rays.len()).filter(|&i| inside.length[i] >= 0.0) {
+            packet.reach[i] = (inside.length[i] + packet.slack) as f32;
         }
         packet
     }

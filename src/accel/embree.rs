@@ -4,7 +4,8 @@
 #![allow(unsafe_code)]
 
 use super::embree_device::{Device, ffi};
-use super::part_box::{PartBox, Side, Together};
+use super::lanes::{Inside, Lanes};
+use super::part_box::{PartBox, Side};
 use super::quads::Quads;
 use super::refine::nearest_on_triangle;
 use super::{Face, Nearest, Ray, WIDTH};
@@ -164,41 +165,20 @@ impl Tree {
         packets.filter(|bits| bits & some != 0).sum()
     }
 
-    /// Fills a packet, in place since a copy of it takes time.
-    fn pack(
-        rays: &[Ray],
-        some: u16,
-        part: &PartBox,
-        together: &Together,
-        packet: &mut ffi::RTCRay16,
-    ) -> (Valid, [f64; WIDTH]) {
-        assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
+    /// Fills a packet with the rays of the set bits, in place since a copy of it takes time.
+    fn pack(inside: &Inside, some: u16, packet: &mut ffi::RTCRay16) -> Valid {
         let mut valid = Valid([0; WIDTH]);
-        let mut advanced = [0.0; WIDTH];
-        packet.dir_z = [1.0; WIDTH];
-        packet.tfar = [-1.0; WIDTH];
-        packet.mask = [u32::MAX; WIDTH];
-        for (i, ray) in rays.iter().enumerate() {
-            if some >> i & 1 == 0 {
-                continue;
-            }
-            // Which of the rays that are advanced together miss the box the hierarchy
-            // finds out for less.
-            let inside = match together.approach {
-                Some(distance) => part.advanced(ray, distance, ray.t_max),
-                None => match part.inside(ray) {
-                    Some(inside) => inside,
-                    None => continue,
-                },
-            };
-            valid.0[i] = -i32::from(inside.length >= 0.0);
-            advanced[i] = inside.advanced;
-            let direction = ray.direction.as_vec3();
-            (packet.org_x[i], packet.org_y[i], packet.org_z[i]) = inside.origin.into();
-            (packet.dir_x[i], packet.dir_y[i], packet.dir_z[i]) = direction.into();
-            packet.tfar[i] = inside.length as f32;
+        let traced = |i: usize| some >> i & 1 == 1 && inside.length[i] >= 0.0;
+        for (i, valid) in valid.0.iter_mut().enumerate() {
+            *valid = -i32::from(traced(i));
         }
-        (valid, advanced)
+        let [x, y, z] = inside.origin;
+        (packet.org_x, packet.org_y, packet.org_z) = (x, y, z);
+        let [x, y, z] = inside.direction;
+        (packet.dir_x, packet.dir_y, packet.dir_z) = (x, y, z);
+        packet.tfar = inside.length.map(|length| length as f32);
+        packet.mask = [u32::MAX; WIDTH];
+        valid
     }
 
     pub(super) fn mesh(&self) -> &Mesh {
@@ -210,38 +190,36 @@ impl Tree {
     /// that are traced together with some (as bits).
     pub(super) fn closest(
         &self,
-        rays: &[Ray],
+        rays: &Lanes,
         some: u16,
         part: &PartBox,
         mut found: impl FnMut(usize, u32, f64, Side),
     ) {
-        let together = part.together(rays);
+        let together = rays.together(part);
         // SAFETY: RTCRayHit16 is floats and integers, for which all-zero bytes are values.
         let mut packet: ffi::RTCRayHit16 = unsafe { std::mem::zeroed() };
-        let some = self.beside(some);
-        let (valid, advanced) = Tree::pack(rays, some, part, &together, &mut packet.ray);
+        let inside = rays.inside(part, together.approach);
+        let asked = self.beside(some) & rays.there();
+        let valid = Tree::pack(&inside, asked, &mut packet.ray);
         packet.hit.geomID = [ffi::LT_NO_GEOMETRY; WIDTH];
         // SAFETY: the scene is live and committed; both structs are 64-byte
         // aligned and of the linked library's own layout.
         unsafe {
             ffi::lt_intersect16(
                 self.scene,
-                true,
-                match together.coherent {
-                    true => self.device.packet,
-                    false => 1,
-                },
+                together.coherent,
+                self.device.packet,
                 valid.0.as_ptr(),
                 &mut packet,
             )
         };
-        for (i, advanced) in advanced.iter().enumerate().take(rays.len()) {
-            let hit = &packet.hit;
+        let (ray, hit) = (&packet.ray, &packet.hit);
+        for i in 0..WIDTH {
             if hit.geomID[i] != ffi::LT_NO_GEOMETRY {
-                let t = advanced + packet.ray.tfar[i] as f64;
-                let along = hit.Ng_x[i] * packet.ray.dir_x[i]
-                    + hit.Ng_y[i] * packet.ray.dir_y[i]
-                    + hit.Ng_z[i] * packet.ray.dir_z[i];
+                let t = inside.advanced[i] + ray.tfar[i] as f64;
+                let along = hit.Ng_x[i] * ray.dir_x[i]
+                    + hit.Ng_y[i] * ray.dir_y[i]
+                    + hit.Ng_z[i] * ray.dir_z[i];
                 let side = if along > 0.0 { Side::Back } else { Side::Front };
                 let triangle = match &self.quads {
                     None => hit.primID[i],
@@ -278,7 +256,7 @@ impl Tree {
             return 0;
         }
         let mut backs = 0;
-        self.closest(&probes, u16::MAX, part, |i, _, _, side| {
+        self.closest(&Lanes::new(&probes), u16::MAX, part, |i, _, _, side| {
             backs |= u16::from(side == Side::Back) << i;
         });
         let bits = asked.iter().map(|&(i, probe)| (backs >> probe & 1) << i);
@@ -286,11 +264,12 @@ impl Tree {
     }
 
     /// Whether each of up to 16 coherent rays meets anything, as bits.
-    pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
-        let together = part.together(rays);
+    pub(super) fn occluded(&self, rays: &Lanes, part: &PartBox) -> u16 {
+        let together = rays.together(part);
         // SAFETY: as in `closest`.
         let mut packet: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
-        let (valid, _) = Tree::pack(rays, u16::MAX, part, &together, &mut packet);
+        let inside = rays.inside(part, together.approach);
+        let valid = Tree::pack(&inside, rays.there(), &mut packet);
         // SAFETY: as in `closest`.
         unsafe {
             ffi::lt_occluded16(
@@ -301,7 +280,7 @@ impl Tree {
                 &mut packet,
             )
         };
-        // Embree sets tfar to -∞ on a hit; lanes left out still hold -1.
+        // Embree sets tfar to -∞ on a hit. No ray that is traced has that before.
         (0..WIDTH)
             .filter(|&i| packet.tfar[i] == f32::NEG_INFINITY)
             .fold(0, |bits, i| bits | 1 << i)

@@ -33,11 +33,10 @@ fn embree_writes_nothing_past_its_structs() {
     let mesh = soup();
     let part = PartBox::new(mesh.bounds());
     let tree = Tree::build(&mesh.clone().into(), &part, 1, &|_| Ok(())).unwrap();
-    let rays = rays_at(&mesh, WIDTH as u64);
+    let rays = Lanes::new(&rays_at(&mesh, WIDTH as u64));
     // SAFETY: all-zero bytes are valid floats and integers.
     let mut ray: ffi::RTCRay16 = unsafe { std::mem::zeroed() };
-    let together = part.together(&rays);
-    let (valid, _) = Tree::pack(&rays, u16::MAX, &part, &together, &mut ray);
+    let valid = Tree::pack(&rays.inside(&part, None), u16::MAX, &mut ray);
     let mut closest = Guarded {
         value: ffi::RTCRayHit16 {
             ray,
@@ -54,10 +53,10 @@ fn embree_writes_nothing_past_its_structs() {
     let width = tree.device.packet;
     // SAFETY: scene live and committed, structs aligned to 64 bytes.
     unsafe {
-        for width in [width, 1] {
+        for coherent in [true, false] {
             ffi::lt_intersect16(
                 tree.scene,
-                true,
+                coherent,
                 width,
                 valid.0.as_ptr(),
                 &mut closest.value,
@@ -89,9 +88,14 @@ fn other_instructions_meet_the_same_triangles() {
         let tree = built(settings, &mesh, None, &part);
         let mut met = vec![(None, 0.0); rays.len()];
         for (packet, rays) in rays.chunks(WIDTH).enumerate() {
-            tree.closest(rays, u16::MAX, &part, |i, triangle, t, side| {
-                met[packet * WIDTH + i] = (Some((triangle, side)), t);
-            });
+            tree.closest(
+                &Lanes::new(rays),
+                u16::MAX,
+                &part,
+                |i, triangle, t, side| {
+                    met[packet * WIDTH + i] = (Some((triangle, side)), t);
+                },
+            );
         }
         met
     };
@@ -146,12 +150,17 @@ impl Demo {
         let mut hits = vec![None; self.rays.len()];
         let mut refined = vec![None; self.rays.len()];
         for (packet, rays) in self.rays.chunks(WIDTH).enumerate() {
-            tree.closest(rays, u16::MAX, &part, |i, triangle, t, side| {
-                hits[packet * WIDTH + i] = Some((triangle, side, t));
-                let corners = self.mesh.triangle(triangle as usize);
-                let hit = refine(&rays[i], triangle, corners, t, part.tolerance());
-                refined[packet * WIDTH + i] = hit.hit();
-            });
+            tree.closest(
+                &Lanes::new(rays),
+                u16::MAX,
+                &part,
+                |i, triangle, t, side| {
+                    hits[packet * WIDTH + i] = Some((triangle, side, t));
+                    let corners = self.mesh.triangle(triangle as usize);
+                    let hit = refine(&rays[i], triangle, corners, t, part.tolerance());
+                    refined[packet * WIDTH + i] = hit.hit();
+                },
+            );
         }
         let packets = self.rays.chunks(WIDTH);
         let far = Nearest {
@@ -162,7 +171,9 @@ impl Demo {
         Answers {
             hits,
             refined,
-            shadows: packets.map(|rays| tree.occluded(rays, &part)).collect(),
+            shadows: packets
+                .map(|rays| tree.occluded(&Lanes::new(rays), &part))
+                .collect(),
             nearest: (0..2000)
                 .map(|i| tree.nearest(Demo::at(i * 20), &part, far))
                 .collect(),

@@ -3,11 +3,12 @@
 
 #[cfg(feature = "embree")]
 use super::astray::{Doubt, Doubts};
+use super::lanes::Lanes;
+#[cfg(feature = "embree")]
+use super::lanes::Lanes3;
 use super::part_box::PartBox;
 #[cfg(feature = "embree")]
 use super::part_box::Side;
-#[cfg(feature = "embree")]
-use super::refine::Refined;
 use super::refine::{nearest_on_triangle, refine};
 use super::{Face, Hit, Nearest, Ray, WIDTH, rust_bvh};
 #[cfg(feature = "embree")]
@@ -132,6 +133,7 @@ impl Hierarchy {
         let mut hits = [None; WIDTH];
         #[cfg(not(feature = "embree"))]
         let _ = anywhere;
+        let lanes = Lanes::new(rays);
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
@@ -142,38 +144,47 @@ impl Hierarchy {
                 };
                 // By the packets of rays that are traced together.
                 let mut doubts: [Doubts; PACKETS] = Default::default();
-                let (mut met, mut count) = ([Doubt::NONE; WIDTH], 0);
+                let (mut met, mut triangles, mut t_found) = (0u16, [0; WIDTH], [0.0; WIDTH]);
                 let mut lost = inside;
-                tree.closest(rays, some, &self.part, |ray, triangle, t, side| {
+                tree.closest(&lanes, some, &self.part, |ray, triangle, t, side| {
                     let doubt = Doubt { ray, triangle, t };
                     lost &= !(1 << ray);
                     if (side == Side::Back) != (inside >> ray & 1 == 1) {
                         doubts[ray / tree.together()].astray.push(doubt);
                     }
-                    if wanted(ray, t) {
-                        met[count] = doubt;
-                        count += 1;
-                    }
+                    met |= u16::from(wanted(ray, t)) << ray;
+                    (triangles[ray], t_found[ray]) = (triangle, t);
                 });
                 for ray in (0..rays.len()).filter(|ray| lost >> ray & 1 == 1) {
                     let nothing = Doubt::of_nothing(ray, &rays[ray]);
                     doubts[ray / tree.together()].astray.push(nothing);
                 }
+                let met = || (0..rays.len()).filter(|ray| met >> ray & 1 == 1);
                 // All are read before the first is looked at: a packet waits for memory
-                // once then, and not once a ray.
-                let mut corners = [[DVec3::ZERO; 3]; WIDTH];
-                for (corners, met) in corners.iter_mut().zip(&met[..count]) {
-                    *corners = self.mesh.triangle(met.triangle as usize);
+                // twice then, and not twice a ray.
+                let mut vertices = [[0; 3]; WIDTH];
+                for ray in met() {
+                    vertices[ray] = self.mesh.triangles[triangles[ray] as usize];
                 }
-                for (&Doubt { ray, triangle, t }, corners) in met[..count].iter().zip(corners) {
-                    let tolerance = self.part.tolerance();
-                    let refined = refine(&rays[ray], triangle, corners, t, tolerance);
-                    hits[ray] = refined.hit();
-                    if !matches!(refined, Refined::On(_)) {
-                        let t = hits[ray].map_or(t, |hit: Hit| hit.t);
-                        let doubts = &mut doubts[ray / tree.together()];
-                        doubts.passed.push(Doubt { ray, triangle, t });
+                let mut corners = [Lanes3::ZERO; 3];
+                for ray in met() {
+                    for (corners, vertex) in corners.iter_mut().zip(vertices[ray]) {
+                        corners.set(ray, self.mesh.positions[vertex as usize]);
                     }
+                }
+                let tolerance = self.part.tolerance();
+                let meetings = lanes.meet(&corners, &t_found, tolerance.along);
+                for ray in met() {
+                    let (triangle, t) = (triangles[ray], t_found[ray]);
+                    if let Some(meeting) = meetings.get(ray) {
+                        hits[ray] = Some(meeting.hit(triangle));
+                        continue;
+                    }
+                    let corners = corners.map(|corners| corners.get(ray));
+                    hits[ray] = refine(&rays[ray], triangle, corners, t, tolerance).hit();
+                    let t = hits[ray].map_or(t, |hit: Hit| hit.t);
+                    let doubts = &mut doubts[ray / tree.together()];
+                    doubts.passed.push(Doubt { ray, triangle, t });
                 }
                 for doubts in doubts.iter_mut().filter(|doubts| !doubts.is_empty()) {
                     doubts.settle(tree, &self.part, rays, inside, |ray, hit| {
@@ -181,7 +192,7 @@ impl Hierarchy {
                     });
                 }
             }
-            Tree::Rust(tree) => tree.closest(rays, &self.part, |i, triangle, t| {
+            Tree::Rust(tree) => tree.closest(rays, &lanes, &self.part, |i, triangle, t| {
                 if some >> i & 1 == 1 && wanted(i, t) {
                     let corners = self.mesh.triangle(triangle as usize);
                     let tolerance = self.part.final_tolerance();
@@ -194,10 +205,11 @@ impl Hierarchy {
 
     /// See [`super::Accel::occluded`].
     pub fn occluded(&self, rays: &[Ray]) -> u16 {
+        let lanes = Lanes::new(rays);
         match &self.tree {
             #[cfg(feature = "embree")]
-            Tree::Embree(tree) => tree.occluded(rays, &self.part),
-            Tree::Rust(tree) => tree.occluded(rays, &self.part),
+            Tree::Embree(tree) => tree.occluded(&lanes, &self.part),
+            Tree::Rust(tree) => tree.occluded(rays, &lanes, &self.part),
         }
     }
 

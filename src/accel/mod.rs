@@ -17,6 +17,7 @@ mod embree_device;
 #[cfg(feature = "race")]
 pub mod embree_race;
 mod hierarchy;
+mod lanes;
 mod part_box;
 #[cfg(feature = "embree")]
 mod quads;

@@ -1,24 +1,13 @@
 //! The box around a part, and the side of a triangle: what the backends share.
 
-use super::Ray;
 use super::refine::Tolerance;
 use crate::math::{Aabb, DVec3};
-use glam::Vec3;
 
 /// The box around a mesh or an assembly, and what f32 relative to its middle is good for.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PartBox {
     pub bounds: Aabb,
     pub center: DVec3,
-}
-
-/// The part of a ray inside the box, narrowed to f32.
-pub(super) struct Inside {
-    /// Where the ray enters, relative to the middle of the box, mm.
-    pub origin: Vec3,
-    /// Distance from the ray's origin to there, mm.
-    pub advanced: f64,
-    pub length: f64,
 }
 
 /// What rays of a packet have in common.
@@ -81,49 +70,31 @@ impl PartBox {
         }
     }
 
-    /// Distances between which the ray is inside the box.
-    fn interval(&self, ray: &Ray) -> Option<(f64, f64)> {
-        let margin = DVec3::splat(2.0 * self.resolution());
-        let inverse = ray.direction.recip();
-        let near = (self.bounds.min - margin - ray.origin) * inverse;
-        let far = (self.bounds.max + margin - ray.origin) * inverse;
-        // A ray parallel to a slab and on its very face gives 0·∞ = NaN, which
-        // these comparisons pass over. It is on the widened box, so it meets
-        // nothing, and kept or dropped is the same. (f64::min and max cost four
-        // times as much for what they promise about NaN.)
-        let (mut enter, mut leave) = (0.0f64, ray.t_max);
-        for axis in 0..3 {
-            let (a, b) = (near[axis], far[axis]);
-            let (first, last) = if a < b { (a, b) } else { (b, a) };
-            enter = if first > enter { first } else { enter };
-            leave = if last < leave { last } else { leave };
-        }
-        (enter <= leave).then_some((enter, leave))
+    fn margin(&self) -> DVec3 {
+        DVec3::splat(2.0 * self.resolution())
     }
 
-    /// See [`Together`]. By all rays of a packet and in f64, so that it depends neither on
-    /// which of them are asked for nor on the machine's vectors.
-    #[cfg(feature = "embree")]
-    pub fn together(&self, rays: &[Ray]) -> Together {
-        let start = rays.first().map_or(self.center, |ray| ray.origin);
-        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        let mut one_start = true;
-        for ray in rays {
-            one_start &= ray.origin == start;
-            (low, high) = (low.min(ray.direction), high.max(ray.direction));
+    /// The box as rays meet it.
+    pub fn widened(&self) -> Aabb {
+        let margin = self.margin();
+        Aabb {
+            min: self.bounds.min - margin,
+            max: self.bounds.max + margin,
         }
+    }
+
+    /// See [`Together`]: of rays of which one starts at `start` and all that far `apart` at
+    /// most, in directions from `low` to `high`.
+    #[cfg(feature = "embree")]
+    pub fn together(&self, start: DVec3, apart: DVec3, [low, high]: [DVec3; 2]) -> Together {
         let half = (self.bounds.size() / 2.0).max_element();
         // Behind the part no ray is wanted.
         let reach = start.distance(self.center) + self.bounds.size().length() / 2.0;
-        let mut spread = (high - low) * reach;
-        if !one_start {
-            let starts = || rays.iter().map(|ray| ray.origin);
-            let (low, high) = (starts().reduce(DVec3::min), starts().reduce(DVec3::max));
-            spread += high.unwrap_or(start) - low.unwrap_or(start);
-        }
+        let spread = (high - low) * reach + apart;
+        let approach = || self.approach(start, low, high);
         Together {
             coherent: spread.max_element() <= COHERENT * half,
-            approach: one_start.then(|| self.approach(start, low, high)).flatten(),
+            approach: (apart == DVec3::ZERO).then(approach).flatten(),
         }
     }
 
@@ -132,7 +103,7 @@ impl PartBox {
     /// none past where it enters. `None` if there is no such distance.
     #[cfg(feature = "embree")]
     fn approach(&self, start: DVec3, low: DVec3, high: DVec3) -> Option<f64> {
-        let margin = DVec3::splat(2.0 * self.resolution());
+        let margin = self.margin();
         let (below, above) = (
             self.bounds.min - margin - start,
             start - self.bounds.max - margin,
@@ -155,21 +126,6 @@ impl PartBox {
         }
         let half = (self.bounds.size() / 2.0).max_element();
         (furthest - nearest <= half / 8.0).then_some(nearest)
-    }
-
-    /// A ray advanced in f64 to the box, so that a long standoff costs no digits.
-    pub fn inside(&self, ray: &Ray) -> Option<Inside> {
-        let (advanced, leave) = self.interval(ray)?;
-        Some(self.advanced(ray, advanced, leave))
-    }
-
-    /// The same of a ray that enters after `advanced` mm and leaves after `leave`.
-    pub fn advanced(&self, ray: &Ray, advanced: f64, leave: f64) -> Inside {
-        Inside {
-            origin: (ray.origin + ray.direction * advanced - self.center).as_vec3(),
-            advanced,
-            length: leave - advanced,
-        }
     }
 }
 

@@ -15,6 +15,7 @@ pub fn facing_normal(triangle: [DVec3; 3], direction: DVec3) -> Option<DVec3> {
 }
 
 /// Normal to a triangle, twice its area long.
+#[inline(always)]
 pub(super) fn across([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
@@ -51,6 +52,59 @@ impl Refined {
     }
 }
 
+/// The place where a ray meets a triangle's plane.
+pub(super) struct Meeting {
+    /// It is in the triangle, which has an area and is not seen too nearly edge-on.
+    pub on: bool,
+    /// Distance, mm: where the plane does not tell it, that which was found.
+    pub t: f64,
+    pub point: DVec3,
+    /// Unit normal on the side the ray comes from; not finite for a triangle without area.
+    pub normal: DVec3,
+}
+
+impl Meeting {
+    pub fn hit(&self, triangle: u32) -> Hit {
+        Hit {
+            t: self.t,
+            face: Face::of_mesh(triangle),
+            point: self.point,
+            normal: self.normal,
+        }
+    }
+}
+
+/// Where a ray meets the plane of `corners`, which it is said to meet at `t_found`, within
+/// `along`. Without a branch, so that vectors do it for several rays.
+#[inline(always)]
+pub(super) fn meet(
+    origin: DVec3,
+    direction: DVec3,
+    corners: [DVec3; 3],
+    t_found: f64,
+    along: f64,
+) -> Meeting {
+    let across = across(corners);
+    let per_length = across.length_recip();
+    let towards = across.dot(direction);
+    // Not from the unit normal, so that neither waits for the other.
+    let t_plane = across.dot(corners[0] - origin) / towards;
+    let on_plane = (t_plane - t_found).abs() <= along;
+    let t = if on_plane { t_plane } else { t_found };
+    let point = origin + direction * t;
+    let side = if towards > 0.0 {
+        -per_length
+    } else {
+        per_length
+    };
+    Meeting {
+        on: on_plane & (per_length < f64::INFINITY) & within_edges(corners, across, point),
+        t,
+        point,
+        normal: across * side,
+    }
+}
+
 /// The hit of `ray` on the plane of `corners`, the triangle that intersection
 /// reported at `t_found`.
 pub fn refine(
@@ -60,24 +114,13 @@ pub fn refine(
     t_found: f64,
     tolerance: Tolerance,
 ) -> Refined {
-    let Some(normal) = facing_normal(corners, ray.direction) else {
-        return Refined::Off;
-    };
-    // Not from the unit normal, so that neither waits for the other.
-    let across = across(corners);
-    let t_plane = across.dot(corners[0] - ray.origin) / across.dot(ray.direction);
-    let on_plane = (t_plane - t_found).abs() <= tolerance.along;
-    let t = if on_plane { t_plane } else { t_found };
-    let point = ray.origin + ray.direction * t;
-    let hit = Hit {
-        t,
-        face: Face::of_mesh(triangle),
-        point,
-        normal,
-    };
-    if on_plane && within_edges(corners, across, point) {
+    let met = meet(ray.origin, ray.direction, corners, t_found, tolerance.along);
+    let hit = met.hit(triangle);
+    if met.on {
         Refined::On(hit)
-    } else if nearest_on_triangle(corners, point).distance(point) <= tolerance.beside {
+    } else if met.normal.is_finite()
+        && nearest_on_triangle(corners, hit.point).distance(hit.point) <= tolerance.beside
+    {
         Refined::Beside(hit)
     } else {
         Refined::Off
@@ -85,6 +128,7 @@ pub fn refine(
 }
 
 /// Whether a point of a triangle's plane lies in the triangle.
+#[inline(always)]
 fn within_edges([a, b, c]: [DVec3; 3], across: DVec3, p: DVec3) -> bool {
     let (pa, pb, pc) = (a - p, b - p, c - p);
     let left_of = |from: DVec3, to: DVec3| from.cross(to).dot(across) >= 0.0;

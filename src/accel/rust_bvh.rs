@@ -3,10 +3,11 @@
 //! f32 rounds, and the test of a triangle is watertight, so a ray at a shared edge
 //! or vertex meets one of the triangles there.
 
+use super::lanes::{Inside, Lanes};
 use super::part_box::PartBox;
 use super::refine::nearest_on_triangle;
 use super::watertight::Sheared;
-use super::{Face, Nearest, Ray};
+use super::{Face, Nearest, Ray, WIDTH};
 use crate::math::DVec3;
 use crate::math::rng::{Key, Purpose};
 use crate::mesh::Mesh;
@@ -37,19 +38,18 @@ struct Walk {
 }
 
 impl Walk {
-    fn new(ray: &Ray, part: &PartBox) -> Option<Walk> {
-        let inside = part.inside(ray)?;
-        let walk = Walk {
-            ray: obvhs::ray::Ray::new_inf(inside.origin.into(), ray.direction.as_vec3a()),
-            advanced: inside.advanced,
-        };
-        let reach = walk.reach(inside.advanced + inside.length, part);
-        Some(Walk {
-            ray: obvhs::ray::Ray {
-                tmax: reach,
-                ..walk.ray
-            },
-            ..walk
+    /// Of ray `i`, if it meets the box.
+    fn new(inside: &Inside, i: usize, part: &PartBox) -> Option<Walk> {
+        let (advanced, length) = (inside.advanced[i], inside.length[i]);
+        let vector = |v: &[[f32; WIDTH]; 3]| Vec3A::from(v.map(|lane| lane[i]));
+        (length >= 0.0).then(|| Walk {
+            ray: obvhs::ray::Ray::new(
+                vector(&inside.origin),
+                vector(&inside.direction),
+                0.0,
+                (length + part.resolution()) as f32,
+            ),
+            advanced,
         })
     }
 
@@ -113,11 +113,13 @@ impl Tree {
     pub(super) fn closest(
         &self,
         rays: &[Ray],
+        lanes: &Lanes,
         part: &PartBox,
         mut found: impl FnMut(usize, u32, f64),
     ) {
+        let inside = lanes.inside(part, None);
         for (i, ray) in rays.iter().enumerate() {
-            let Some(walk) = Walk::new(ray, part) else {
+            let Some(walk) = Walk::new(&inside, i, part) else {
                 continue;
             };
             let sheared = Sheared::new(ray);
@@ -140,9 +142,10 @@ impl Tree {
     }
 
     /// Whether each ray meets anything, as bits.
-    pub(super) fn occluded(&self, rays: &[Ray], part: &PartBox) -> u16 {
-        let blocked = |ray: &Ray| {
-            let Some(walk) = Walk::new(ray, part) else {
+    pub(super) fn occluded(&self, rays: &[Ray], lanes: &Lanes, part: &PartBox) -> u16 {
+        let inside = lanes.inside(part, None);
+        let blocked = |i: usize, ray: &Ray| {
+            let Some(walk) = Walk::new(&inside, i, part) else {
                 return false;
             };
             let sheared = Sheared::new(ray);
@@ -156,7 +159,7 @@ impl Tree {
             };
             !self.bvh.ray_traverse_miss(walk.ray, test)
         };
-        let bit = |(i, ray)| u16::from(blocked(ray)) << i;
+        let bit = |(i, ray)| u16::from(blocked(i, ray)) << i;
         rays.iter().enumerate().map(bit).sum()
     }
 

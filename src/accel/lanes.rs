@@ -1,0 +1,294 @@
+//! The rays of a packet coordinate by coordinate, so that vectors hold several of them. What is
+//! done to all is compiled for several sets of instructions, of which the machine's is chosen at
+//! run time; none of them joins multiplication and addition, so all give the same bits.
+
+use super::part_box::PartBox;
+#[cfg(feature = "embree")]
+use super::part_box::Together;
+#[cfg(feature = "embree")]
+use super::refine::{Meeting, meet};
+use super::{Ray, WIDTH};
+use crate::math::{Aabb, DVec3};
+use multiversion::multiversion;
+
+/// One number of each ray.
+pub(super) type Lane = [f64; WIDTH];
+
+/// One vector of each ray.
+#[derive(Clone, Copy)]
+pub(super) struct Lanes3([Lane; 3]);
+
+impl Lanes3 {
+    pub const ZERO: Lanes3 = Lanes3([[0.0; WIDTH]; 3]);
+
+    #[inline(always)]
+    pub fn get(&self, i: usize) -> DVec3 {
+        let [x, y, z] = &self.0;
+        DVec3::new(x[i], y[i], z[i])
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, v: DVec3) {
+        let [x, y, z] = &mut self.0;
+        (x[i], y[i], z[i]) = (v.x, v.y, v.z);
+    }
+}
+
+/// 1 to 16 rays; the last stands in the places of those that are missing.
+pub(super) struct Lanes {
+    origin: Lanes3,
+    direction: Lanes3,
+    t_max: Lane,
+    count: usize,
+}
+
+impl Lanes {
+    pub fn new(rays: &[Ray]) -> Lanes {
+        assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
+        let mut lanes = Lanes {
+            origin: Lanes3::ZERO,
+            direction: Lanes3::ZERO,
+            t_max: [0.0; WIDTH],
+            count: rays.len(),
+        };
+        for i in 0..WIDTH {
+            let ray = &rays[i.min(rays.len() - 1)];
+            lanes.origin.set(i, ray.origin);
+            lanes.direction.set(i, ray.direction);
+            lanes.t_max[i] = ray.t_max;
+        }
+        lanes
+    }
+
+    /// The rays that there are, as bits.
+    #[cfg(feature = "embree")]
+    pub fn there(&self) -> u16 {
+        u16::MAX >> (WIDTH - self.count)
+    }
+
+    /// The rays in the box. `approach`: a distance by which all are advanced, whether they
+    /// meet the box or not, which the hierarchy finds out for less.
+    #[inline(always)]
+    pub fn inside(&self, part: &PartBox, approach: Option<f64>) -> Inside {
+        let mut inside = Inside {
+            origin: [[0.0; WIDTH]; 3],
+            direction: [[0.0; WIDTH]; 3],
+            advanced: [0.0; WIDTH],
+            length: [0.0; WIDTH],
+        };
+        enter(self, part, approach, &mut inside);
+        inside
+    }
+
+    /// See [`Together`]. By all rays of a packet and in f64, so that it depends neither on
+    /// which of them are asked for nor on the machine's vectors.
+    #[cfg(feature = "embree")]
+    pub fn together(&self, part: &PartBox) -> Together {
+        let [low, high] = extent(&self.origin);
+        part.together(self.origin.get(0), high - low, extent(&self.direction))
+    }
+
+    /// What the rays make of the triangles that they are said to meet at `t_found`, within
+    /// `along`: see [`meet`].
+    #[cfg(feature = "embree")]
+    #[inline(always)]
+    pub fn meet(&self, corners: &[Lanes3; 3], t_found: &Lane, along: f64) -> Meetings {
+        let mut meetings = Meetings {
+            on: [0; WIDTH],
+            t: [0.0; WIDTH],
+            point: Lanes3::ZERO,
+            normal: Lanes3::ZERO,
+        };
+        meet_all(self, corners, t_found, along, &mut meetings);
+        meetings
+    }
+}
+
+/// The parts of rays inside a box, narrowed to f32.
+pub(super) struct Inside {
+    /// Where each enters, relative to the middle of the box, mm.
+    pub origin: [[f32; WIDTH]; 3],
+    pub direction: [[f32; WIDTH]; 3],
+    /// Distance from its origin to there, mm.
+    pub advanced: Lane,
+    /// From there on, mm; negative of a ray that does not meet the box.
+    pub length: Lane,
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn enter(rays: &Lanes, part: &PartBox, approach: Option<f64>, inside: &mut Inside) {
+    match approach {
+        Some(distance) => {
+            for i in 0..WIDTH {
+                inside.advanced[i] = distance;
+                inside.length[i] = rays.t_max[i] - distance;
+            }
+        }
+        None => {
+            let bounds = part.widened();
+            for i in 0..WIDTH {
+                let (origin, direction) = (rays.origin.get(i), rays.direction.get(i));
+                let (enter, leave) = interval(&bounds, origin, direction, rays.t_max[i]);
+                // Nothing infinite of a ray that passes the box.
+                let meets = enter <= leave;
+                inside.advanced[i] = if meets { enter } else { 0.0 };
+                inside.length[i] = if meets { leave - enter } else { -1.0 };
+            }
+        }
+    }
+    for i in 0..WIDTH {
+        let direction = rays.direction.get(i);
+        let start = rays.origin.get(i) + direction * inside.advanced[i] - part.center;
+        for axis in 0..3 {
+            inside.origin[axis][i] = start[axis] as f32;
+            inside.direction[axis][i] = direction[axis] as f32;
+        }
+    }
+}
+
+/// Distances between which a ray is inside a box; the second is less if it passes it.
+#[inline(always)]
+fn interval(bounds: &Aabb, origin: DVec3, direction: DVec3, t_max: f64) -> (f64, f64) {
+    let inverse = direction.recip();
+    let near = (bounds.min - origin) * inverse;
+    let far = (bounds.max - origin) * inverse;
+    // A ray parallel to a slab and on its very face gives 0·∞ = NaN, which these
+    // comparisons pass over. It is on the widened box, so it meets nothing, and kept or
+    // dropped is the same. (f64::min and max cost four times as much for what they promise
+    // about NaN.)
+    let (mut enter, mut leave) = (0.0f64, t_max);
+    for axis in 0..3 {
+        let (a, b) = (near[axis], far[axis]);
+        let (first, last) = if a < b { (a, b) } else { (b, a) };
+        enter = if first > enter { first } else { enter };
+        leave = if last < leave { last } else { leave };
+    }
+    (enter, leave)
+}
+
+/// The least and the greatest of each coordinate.
+#[cfg(feature = "embree")]
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn extent(of: &Lanes3) -> [DVec3; 2] {
+    let [mut low, mut high] = [of.0; 2];
+    // By halves, and not one after the other, which no vectors could do.
+    for half in [8, 4, 2, 1] {
+        for axis in 0..3 {
+            for i in 0..half {
+                let (a, b) = (low[axis][i], low[axis][i + half]);
+                low[axis][i] = if b < a { b } else { a };
+                let (a, b) = (high[axis][i], high[axis][i + half]);
+                high[axis][i] = if b > a { b } else { a };
+            }
+        }
+    }
+    [low, high].map(|lanes| Lanes3(lanes).get(0))
+}
+
+/// Of each ray a [`Meeting`].
+#[cfg(feature = "embree")]
+pub(super) struct Meetings {
+    on: [u64; WIDTH],
+    t: Lane,
+    point: Lanes3,
+    normal: Lanes3,
+}
+
+#[cfg(feature = "embree")]
+impl Meetings {
+    pub fn get(&self, i: usize) -> Option<Meeting> {
+        (self.on[i] != 0).then(|| Meeting {
+            on: true,
+            t: self.t[i],
+            point: self.point.get(i),
+            normal: self.normal.get(i),
+        })
+    }
+}
+
+#[cfg(feature = "embree")]
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn meet_all(
+    rays: &Lanes,
+    corners: &[Lanes3; 3],
+    t_found: &Lane,
+    along: f64,
+    meetings: &mut Meetings,
+) {
+    let [a, b, c] = corners;
+    for i in 0..WIDTH {
+        let (origin, direction) = (rays.origin.get(i), rays.direction.get(i));
+        let corners = [a.get(i), b.get(i), c.get(i)];
+        let met = meet(origin, direction, corners, t_found[i], along);
+        meetings.on[i] = u64::from(met.on);
+        meetings.t[i] = met.t;
+        meetings.point.set(i, met.point);
+        meetings.normal.set(i, met.normal);
+    }
+}
+
+#[cfg(all(test, feature = "embree"))]
+mod tests {
+    use super::*;
+    use crate::accel::hierarchy::tests::{rays_at, soup};
+
+    /// The machine's instructions do of 16 rays what the plainest do of one, bit by bit.
+    #[test]
+    fn a_packet_is_its_rays_one_by_one() {
+        let mesh = soup();
+        let part = PartBox::new(mesh.bounds());
+        let bounds = part.widened();
+        let bits = |v: DVec3| v.to_array().map(f64::to_bits);
+        let mut triangles = mesh.triangles.iter().cycle();
+        let (mut entered, mut met) = (0, 0);
+        for rays in rays_at(&mesh, 16_000).chunks(WIDTH) {
+            let lanes = Lanes::new(rays);
+            let inside = lanes.inside(&part, None);
+            let [low, high] = extent(&lanes.direction);
+            let directions = || rays.iter().map(|ray| ray.direction);
+            assert_eq!(directions().reduce(DVec3::min), Some(low));
+            assert_eq!(directions().reduce(DVec3::max), Some(high));
+            let mut corners = [Lanes3::ZERO; 3];
+            let mut t_found = [0.0; WIDTH];
+            for (i, ray) in rays.iter().enumerate() {
+                // Some meet it, some pass it, and of some the distance is another.
+                let triangle = triangles
+                    .next()
+                    .unwrap()
+                    .map(|v| mesh.positions[v as usize]);
+                let across = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
+                t_found[i] = across.dot(triangle[0] - ray.origin) / across.dot(ray.direction);
+                t_found[i] += if i == 5 { 1.0 } else { 1e-6 };
+                for (corners, corner) in corners.iter_mut().zip(triangle) {
+                    corners.set(i, corner);
+                }
+            }
+            let meetings = lanes.meet(&corners, &t_found, 1e-3);
+            for (i, ray) in rays.iter().enumerate() {
+                let (enter, leave) = interval(&bounds, ray.origin, ray.direction, ray.t_max);
+                assert_eq!(inside.length[i] >= 0.0, enter <= leave);
+                if enter > leave {
+                    continue;
+                }
+                assert_eq!(inside.advanced[i].to_bits(), enter.to_bits());
+                assert_eq!(inside.length[i].to_bits(), (leave - enter).to_bits());
+                let start = ray.origin + ray.direction * enter - part.center;
+                let narrowed = |axis: usize| inside.origin[axis][i].to_bits();
+                let expected = start.as_vec3().to_array().map(f32::to_bits);
+                assert_eq!([0, 1, 2].map(narrowed), expected);
+                entered += 1;
+                let corners = corners.map(|corners| corners.get(i));
+                let one = meet(ray.origin, ray.direction, corners, t_found[i], 1e-3);
+                let of_all = meetings.get(i);
+                assert_eq!(of_all.is_some(), one.on);
+                if let Some(of_all) = of_all {
+                    assert_eq!(of_all.t.to_bits(), one.t.to_bits());
+                    assert_eq!(bits(of_all.point), bits(one.point));
+                    assert_eq!(bits(of_all.normal), bits(one.normal));
+                    met += 1;
+                }
+            }
+        }
+        assert!(entered > 1000 && met > 10, "{entered} {met}");
+    }
+}
