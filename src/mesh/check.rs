@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Mesh;
+use super::stars::{self, Side, Star};
 use crate::math::{Aabb, DVec3};
 
 /// Which way the triangles face.
@@ -79,7 +80,7 @@ fn coordinate_step(mesh: &Mesh) -> f64 {
     }
 }
 
-/// Examines a mesh. Takes 44 bytes a triangle while it runs.
+/// Examines a mesh. Takes 12 bytes a triangle while it runs.
 pub fn report(mesh: &Mesh) -> MeshReport {
     let edges = edges(mesh);
     let volume = signed_volume(mesh);
@@ -130,37 +131,33 @@ struct Edges {
     unbalanced: usize,
 }
 
-/// Counts edges by sorting those run upwards (to the larger vertex number) and
-/// those run downwards, and walking both lists together.
 fn edges(mesh: &Mesh) -> Edges {
-    let directed = |up: bool| {
-        let mut keys: Vec<u64> = (mesh.triangles.iter())
-            // One collapsed to a line or point is no part of the surface: its
-            // neighbours meet where it stands.
-            .filter(|&&[a, b, c]| a != b && b != c && c != a)
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-            .filter(|(a, b)| (a < b) == up)
-            .map(|(a, b)| u64::from(a.min(b)) << 32 | u64::from(a.max(b)))
-            .collect();
-        keys.par_sort_unstable();
-        keys
-    };
-    let (ups, downs) = (directed(true), directed(false));
-    let (mut ups, mut downs) = (ups.as_slice(), downs.as_slice());
-    let take = |list: &mut &[u64], edge| {
-        let count = list.iter().take_while(|&&e| e == edge).count();
-        *list = &list[count..];
-        count
-    };
-    let mut edges = Edges::default();
-    while let Some(&edge) = ups.first().into_iter().chain(downs.first()).min() {
-        let (up, down) = (take(&mut ups, edge), take(&mut downs, edge));
-        edges.boundary += usize::from(up + down == 1);
-        edges.non_manifold += usize::from(up + down > 2);
-        edges.conflicts += up.saturating_sub(1) + down.saturating_sub(1);
-        edges.unbalanced += usize::from(up != down);
-    }
-    edges
+    stars::of_all(mesh, |Star { ups, downs }| {
+        let mut edges = Edges::default();
+        let (mut ups, mut downs) = (ups.as_slice(), downs.as_slice());
+        let take = |list: &mut &[Side], higher| {
+            let count = list.iter().take_while(|side| side.higher == higher).count();
+            *list = &list[count..];
+            count
+        };
+        while let Some(higher) = (ups.first().into_iter().chain(downs.first()))
+            .map(|side| side.higher)
+            .min()
+        {
+            let (up, down) = (take(&mut ups, higher), take(&mut downs, higher));
+            edges.boundary += usize::from(up + down == 1);
+            edges.non_manifold += usize::from(up + down > 2);
+            edges.conflicts += up.saturating_sub(1) + down.saturating_sub(1);
+            edges.unbalanced += usize::from(up != down);
+        }
+        edges
+    })
+    .reduce(Edges::default, |a, b| Edges {
+        boundary: a.boundary + b.boundary,
+        non_manifold: a.non_manifold + b.non_manifold,
+        conflicts: a.conflicts + b.conflicts,
+        unbalanced: a.unbalanced + b.unbalanced,
+    })
 }
 
 /// Sum of the signed tetrahedra over all triangles (mm³), about the middle of

@@ -30,6 +30,7 @@ mod polygon;
 pub mod shapes;
 mod shell;
 mod sniff;
+mod stars;
 mod stl;
 mod text;
 mod three_mf;

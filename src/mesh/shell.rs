@@ -2,7 +2,10 @@
 
 use super::Mesh;
 use super::check::{Orientation, facing, signed_volume};
+use super::stars::{self, Side, Star};
 use crate::math::DVec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Share of a triangle's longest side within which a point counts as on a side or a corner:
 /// far more than f64 rounds on a mesh that is not a million sizes from its origin.
@@ -20,45 +23,29 @@ pub struct Shell {
 
 impl Shell {
     /// `None` where [`Orientation`] is open or mixed: such a mesh has no inside. Takes 12
-    /// bytes a triangle, and 48 more while it is made.
+    /// bytes a triangle, and as many more while it is made.
     pub fn of(mesh: &Mesh) -> Option<Shell> {
         let sides = u32::try_from(3 * mesh.triangles.len()).ok()?;
-        let ends = |side: u32| {
-            let triangle = mesh.triangles[side as usize / 3];
-            let k = side as usize % 3;
-            (triangle[k], triangle[(k + 1) % 3])
-        };
-        let whole = |&side: &u32| {
-            let [a, b, c] = mesh.triangles[side as usize / 3];
-            a != b && b != c && c != a
-        };
-        let directed = |up: bool| {
-            let sides = (0..sides).filter(whole).filter(|&side| {
-                let (from, to) = ends(side);
-                (from < to) == up
-            });
-            let key = |(a, b): (u32, u32)| (a.min(b), a.max(b));
-            let mut sides: Vec<_> = sides.map(|side| (key(ends(side)), side)).collect();
-            sides.sort_unstable();
-            sides
-        };
-        let (ups, downs) = (directed(true), directed(false));
-        let mut opposite: Vec<u32> = (0..sides).collect();
-        if ups.len() != downs.len() {
-            return None;
-        }
-        for ((edge, up), (same, down)) in ups.into_iter().zip(downs) {
-            if edge != same {
-                return None;
+        // Each is written once at most. Atomic only because a vertex's lie between others'.
+        let opposite: Vec<AtomicU32> = (0..sides).into_par_iter().map(AtomicU32::new).collect();
+        let joined = stars::of_all(mesh, |Star { ups, downs }| {
+            let number = |side: &Side| 3 * side.triangle + side.corner;
+            for (up, down) in ups.iter().zip(downs) {
+                opposite[number(up) as usize].store(number(down), Relaxed);
+                opposite[number(down) as usize].store(number(up), Relaxed);
             }
-            opposite[up as usize] = down;
-            opposite[down as usize] = up;
+            let higher = |side: &Side| side.higher;
+            ups.iter().map(higher).eq(downs.iter().map(higher))
+        });
+        if !joined.all(|joined| joined) {
+            return None;
         }
         let inward = match facing(mesh, signed_volume(mesh)) {
             Orientation::Outward => false,
             Orientation::Inward => true,
             Orientation::Mixed | Orientation::Open => return None,
         };
+        let opposite = opposite.into_iter().map(AtomicU32::into_inner).collect();
         Some(Shell { opposite, inward })
     }
 
