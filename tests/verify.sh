@@ -146,6 +146,20 @@ else
     row "$name" "$(grep -c ': yes$' "$log") of $(grep -c ' over light reflected once' "$log") scenes" "$goal" "$met" "$command"
 fi
 
+name='frames while Mitsuba 3 renders the direct light of one'
+command='python3 tests/frames_against_mitsuba.py target/release/lasertrace out/verify/speed'
+goal='the same line is seen; 100 are aimed at'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
+    skip "$name" "$goal" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
+else
+    try build cargo build --release
+    # shellcheck disable=SC2086
+    try speed $command
+    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+fi
+
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'
 if [ "$page" = "$out/small.md" ]; then

@@ -28,7 +28,7 @@ pub use model::{CameraModel, Projector};
 pub use near_light::NearLight;
 pub use sensor::{Noise, PixelPattern, Sensor};
 
-use crate::math::{DMat3, DVec2, DVec3};
+use crate::math::{DVec2, DVec3};
 use glam::DMat2;
 
 /// A lens with a sensor behind it.
@@ -55,10 +55,6 @@ impl Camera {
             tilt: self.tilt,
             distortion: self.lens.distortion,
         }
-    }
-
-    pub(crate) fn sensor_axes(&self) -> DMat3 {
-        self.model().sensor_axes()
     }
 
     /// See [`CameraModel::screen`].
@@ -103,10 +99,11 @@ impl Camera {
     /// The entrance pupil is a flat disc that stays where it is for all directions, so
     /// distortion moves light and makes none: see [`Distortion::concentration`].
     pub fn pupil_solid_angle(&self, pixel: DVec2) -> f64 {
-        let to_sensor = self.sensor_point(pixel);
+        let projector = self.model().projector();
+        let to_sensor = projector.sensor_point(pixel);
         let distance = to_sensor.length();
         let cos_lens = to_sensor.z / distance;
-        let cos_sensor = self.sensor_axes().z_axis.dot(to_sensor) / distance;
+        let cos_sensor = projector.sensor_normal().dot(to_sensor) / distance;
         let without = self.lens.pupil_area() * cos_lens * cos_sensor / (distance * distance);
         match &self.lens.distortion {
             None => without,
@@ -152,15 +149,21 @@ impl Camera {
     /// Diameter of the blur on the sensor of a point that lies at `point`, seen
     /// near `pixel` = its projection, mm: pupil-shaped, by thin-lens geometry.
     pub fn defocus_blur(&self, point: DVec3) -> Option<f64> {
-        let sensor_z = self.sensor_point(self.project(point)?).z;
+        let sensor_z = self.sensor_z(point)?;
         let image_z = self.lens.image_of(point.z)?;
         Some(self.lens.pupil_diameter() * ((sensor_z - image_z) / image_z).abs())
+    }
+
+    /// How far behind the lens the sensor is where it sees `point`, mm.
+    fn sensor_z(&self, point: DVec3) -> Option<f64> {
+        let projector = self.model().projector();
+        Some(projector.sensor_point(projector.project(point)?).z)
     }
 
     /// Defocus 1 − L_f/L_o of a point at `point`, L_o its distance from the lens and
     /// L_f that of what is in focus on its ray; zero in focus, negative nearer.
     pub fn defocus(&self, point: DVec3) -> Option<f64> {
-        let sensor_z = self.sensor_point(self.project(point)?).z;
+        let sensor_z = self.sensor_z(point)?;
         let focused_on = 1.0 / self.lens.focal_length - 1.0 / sensor_z;
         Some(1.0 - 1.0 / (focused_on * point.z)).filter(|d| d.is_finite())
     }
@@ -286,7 +289,7 @@ mod tests {
         let camera = camera([8.0, -5.0]);
         let pixel = DVec2::new(30.0, 570.0);
         let p = camera.sensor_point(pixel);
-        let normal = camera.sensor_axes().z_axis;
+        let normal = camera.model().sensor_axes().z_axis;
         let (n, radius) = (400, camera.lens.pupil_diameter() / 2.0);
         let cell = (2.0 * radius / n as f64).powi(2);
         let at = |i: usize| radius * ((2 * i + 1) as f64 / n as f64 - 1.0);

@@ -41,7 +41,7 @@ impl CameraModel {
     /// Where `pixel` lies, on the sensor drawn in front of the lens: along the
     /// chief ray behind it.
     pub fn sensor_point(&self, pixel: DVec2) -> DVec3 {
-        self.sensor_axes() * self.screen(pixel).extend(0.0) + DVec3::Z * self.principal_distance
+        self.projector().sensor_point(pixel)
     }
 
     /// Unit direction in which `pixel`, one of the sensor's, looks from the pupil.
@@ -90,6 +90,16 @@ pub struct Projector {
 }
 
 impl Projector {
+    /// See [`CameraModel::sensor_point`].
+    pub(super) fn sensor_point(&self, pixel: DVec2) -> DVec3 {
+        let on_sensor = self.axes * self.model.screen(pixel).extend(0.0);
+        on_sensor + DVec3::Z * self.model.principal_distance
+    }
+
+    pub(super) fn sensor_normal(&self) -> DVec3 {
+        self.axes.z_axis
+    }
+
     /// The pixel (column, row, not bounded to the sensor) that sees `point` (camera
     /// frame); `None` if it lies at or behind the lens, or so far off axis that its
     /// image misses the sensor's plane or the distortion is not known there.

@@ -147,12 +147,12 @@ fn the_reach_is_the_shadow_of_the_pupil() {
         let image_z = camera.lens.image_of(point.z).unwrap();
         // The point's image, and where rays to it from the pupil's edge meet the sensor.
         let to_image = camera.sensor_point(place) * (image_z / camera.sensor_point(place).z);
-        let normal = camera.sensor_axes().z_axis;
+        let normal = camera.model().sensor_axes().z_axis;
         let edge = |angle: f64| {
             let x = DVec2::from_angle(angle).extend(0.0) * camera.lens.pupil_diameter() / 2.0;
             let way = to_image - x;
             let t = normal.dot(camera.sensor_point(DVec2::ZERO) - x) / normal.dot(way);
-            let axes = camera.sensor_axes();
+            let axes = camera.model().sensor_axes();
             let off = x + way * t - camera.sensor_point(place);
             DVec2::new(axes.x_axis.dot(off), axes.y_axis.dot(off)) / camera.sensor.pixel_pitch
         };

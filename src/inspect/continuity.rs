@@ -36,8 +36,11 @@ const HALF: f64 = 0.5;
 /// It is set where the surface ends to one side and half the light is missing beside the frame to
 /// the other: an edge may cut the whole line, and nothing in its frame shows it.
 pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], laser: &Laser) {
+    let before = |frame: u32| points.partition_point(|p| p.frame < frame);
+    let of_frame = |&(frame, _): &(u32, HeadPose)| before(frame)..before(frame + 1);
     let cloud = Cloud {
         points,
+        of_frames: scanned.iter().map(of_frame).collect(),
         scanned,
         laser,
     };
@@ -79,37 +82,45 @@ fn is_apart(point: DVec3, pose: &HeadPose, laser: &Laser) -> bool {
 struct Cloud<'a> {
     points: &'a [CloudPoint],
     scanned: &'a [(u32, HeadPose)],
+    /// Where the points of each of these frames are.
+    of_frames: Vec<Range<usize>>,
     laser: &'a Laser,
 }
 
 impl Cloud<'_> {
     fn flags(&self, point: &CloudPoint) -> Flags {
-        let frame = |(frame, _): &(u32, HeadPose)| *frame;
-        let Ok(i) = self.scanned.binary_search_by_key(&point.frame, frame) else {
+        let number = |(frame, _): &(u32, HeadPose)| *frame;
+        let Ok(i) = self.scanned.binary_search_by_key(&point.frame, number) else {
             return point.flags;
         };
-        let apart = |(_, pose): &&(u32, HeadPose)| is_apart(point.position, pose, self.laser);
-        let before = self.scanned[..i].iter().rev().find(apart).map(frame);
-        let after = self.scanned[i + 1..].iter().find(apart).map(frame);
+        let apart = |&i: &usize| is_apart(point.position, &self.scanned[i].1, self.laser);
+        let before = (0..i).rev().find(apart);
+        let after = (i + 1..self.scanned.len()).find(apart);
         let mut flags = point.flags;
-        if flags.contains(Flags::EDGE) && self.goes_on(point, before, after) {
+        if flags.contains(Flags::EDGE) && self.goes_on(point, [before, Some(i), after]) {
             flags.remove(Flags::EDGE);
         }
-        if self.ends_dark(point, before, after) {
+        if self.ends_dark(point.column, [before, Some(i), after]) {
             flags.insert(Flags::EDGE);
         }
         flags
     }
 
-    fn goes_on(&self, point: &CloudPoint, before: Option<u32>, after: Option<u32>) -> bool {
-        let line = |frame: Option<u32>, column: Option<u32>| {
-            let key = |p: &CloudPoint| (p.frame, p.column);
-            let found = self.points.binary_search_by_key(&(frame?, column?), key);
-            let found = &self.points[found.ok()?];
+    /// Points of the i-th frame that was scanned.
+    fn of_frame(&self, i: usize) -> &[CloudPoint] {
+        &self.points[self.of_frames[i].clone()]
+    }
+
+    /// Of frames before and after, and the point's own.
+    fn goes_on(&self, point: &CloudPoint, [before, own, after]: [Option<usize>; 3]) -> bool {
+        let line = |frame: Option<usize>, column: Option<u32>| {
+            let points = self.of_frame(frame?);
+            let found = points.binary_search_by_key(&column?, |p| p.column);
+            let found = &points[found.ok()?];
             is_one_line(found).then_some(found)
         };
         let beside = [point.column.checked_sub(1), point.column.checked_add(1)];
-        if !is_one_line(point) || beside.iter().any(|&c| line(Some(point.frame), c).is_none()) {
+        if !is_one_line(point) || beside.iter().any(|&c| line(own, c).is_none()) {
             return false;
         }
         let column = Some(point.column);
@@ -123,11 +134,11 @@ impl Cloud<'_> {
         off.length() <= OFF_CHORD * point.sigma
     }
 
-    fn ends_dark(&self, point: &CloudPoint, before: Option<u32>, after: Option<u32>) -> bool {
-        let light = |frame: Option<u32>| self.light(frame?, point.column);
+    fn ends_dark(&self, column: u32, [before, own, after]: [Option<usize>; 3]) -> bool {
+        let light = |frame: Option<usize>| self.light(frame?, column);
         match (light(before), light(after)) {
             (Some(other), None) | (None, Some(other)) => {
-                light(Some(point.frame)).is_some_and(|here| here < HALF * other)
+                light(own).is_some_and(|here| here < HALF * other)
             }
             _ => false,
         }
@@ -135,12 +146,10 @@ impl Cloud<'_> {
 
     /// Mean light of the lines around a column of a frame, counts; `None` where half the columns
     /// have none.
-    fn light(&self, frame: u32, column: u32) -> Option<f64> {
-        let to = |column: u32| {
-            let before = |p: &CloudPoint| (p.frame, p.column) < (frame, column);
-            self.points.partition_point(before)
-        };
-        let lines = &self.points[to(column.saturating_sub(NEAR))..to(column + NEAR + 1)];
+    fn light(&self, frame: usize, column: u32) -> Option<f64> {
+        let points = self.of_frame(frame);
+        let to = |column: u32| points.partition_point(|p| p.column < column);
+        let lines = &points[to(column.saturating_sub(NEAR))..to(column + NEAR + 1)];
         let sum: f64 = lines.iter().map(|p| p.intensity).sum();
         (lines.len() > NEAR as usize).then(|| sum / lines.len() as f64)
     }

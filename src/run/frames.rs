@@ -11,6 +11,7 @@ use crate::report::picture::encode_counts;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 /// What a frame is when it is measured.
 pub struct FrameContent {
@@ -43,6 +44,12 @@ impl FrameContent {
 
 /// Images that are checked before more of the journal is read.
 const REPAIRED_TOGETHER: usize = 1024;
+
+/// Frames taken together in less than this are so short that threads wait for each other at the end.
+const SHORT: Duration = Duration::from_millis(50);
+
+/// Frames a thread takes together at most.
+const MOST_EACH: usize = 64;
 
 /// The frames of a scan in the making.
 pub struct Run<'a> {
@@ -109,16 +116,20 @@ impl Run<'_> {
     /// Takes the frames, some at a time, into the journal in their order, which is written while the next are
     /// taken. Of the ones at hand when the run stops, those up to the first unfinished one are kept.
     pub fn frames(&self, mut left: impl Iterator<Item = u32>, journal: &mut Journal) -> Result<()> {
-        let together = 8 * rayon::current_num_threads();
+        let threads = rayon::current_num_threads();
+        let mut each = 8;
         let mut finished: Vec<FrameRecord> = Vec::new();
         loop {
-            let now: Vec<u32> = left.by_ref().take(together).collect();
-            let is_last = now.is_empty();
+            let now: Vec<u32> = left.by_ref().take(each * threads).collect();
+            let (is_last, start) = (now.is_empty(), Instant::now());
             let (written, mut records) =
                 rayon::join(|| journal.append(&finished), || self.records(now));
             written?;
             if is_last {
                 return Ok(());
+            }
+            if start.elapsed() < SHORT && each < MOST_EACH {
+                each *= 2;
             }
             let stop = records.iter().position(Result::is_err);
             let after = records.split_off(stop.unwrap_or(records.len()));

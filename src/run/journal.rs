@@ -4,13 +4,13 @@
 //!
 //! ```text
 //! file    header, frame, frame, …
-//! each    length of the content (u32), SHA-256 of the content, content
+//! each    length of the content (u32), CRC-32 of the content (u32), content
 //! header  what the bytes depend on, as JSON
 //! frame   postcard of `FrameRecord`, in full precision
 //! ```
 //!
 //! What a kill or a full disk left of a record, or a flipped bit made of it, does
-//! not match its checksum, and the journal ends before it. The file is locked while
+//! not match its CRC, and the journal ends before it. The file is locked while
 //! a run writes; the system drops the lock of a process that dies.
 
 use super::files;
@@ -124,7 +124,7 @@ impl Journal {
         cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;
         if end == 0 {
             let header = serde_json::to_vec(key).expect("a key is JSON");
-            journal.write(&framed(&header))?;
+            journal.write_header(&header)?;
         }
         Ok((journal, kept))
     }
@@ -139,7 +139,7 @@ impl Journal {
             synced: Instant::now(),
         };
         let header = serde_json::to_vec(header).expect("a key is JSON");
-        journal.write(&framed(&header))?;
+        journal.write_header(&header)?;
         Ok(journal)
     }
 
@@ -184,13 +184,19 @@ impl Journal {
         let mut bytes = Vec::new();
         for record in records {
             let content = postcard::to_allocvec(record).expect("a record has a length");
-            bytes.extend(framed(&content));
+            frame(&content, &mut bytes);
         }
         self.write(&bytes)?;
         if self.synced.elapsed() > SYNC {
             self.sync()?;
         }
         Ok(())
+    }
+
+    fn write_header(&mut self, content: &[u8]) -> Result<()> {
+        let mut bytes = Vec::new();
+        frame(content, &mut bytes);
+        self.write(&bytes)
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
@@ -222,13 +228,12 @@ impl Journal {
     }
 }
 
-/// Content as it stands in the file.
-fn framed(content: &[u8]) -> Vec<u8> {
+/// Adds content as it stands in the file.
+fn frame(content: &[u8], bytes: &mut Vec<u8>) {
     let length = u32::try_from(content.len()).expect("a frame has no 4 GB of points");
-    let mut bytes = length.to_le_bytes().to_vec();
-    bytes.extend(checksum(content));
+    bytes.extend(length.to_le_bytes());
+    bytes.extend(crc32fast::hash(content).to_le_bytes());
     bytes.extend(content);
-    bytes
 }
 
 /// The records of a journal, one by one, as far as it is written.
@@ -290,21 +295,22 @@ impl<F: Read> Reader<F> {
 
     /// The next content; `None` where the file ends or is damaged.
     fn next(&mut self) -> io::Result<Option<Vec<u8>>> {
-        const HEAD: usize = 4 + 32;
+        const HEAD: usize = 4 + 4;
         if self.left < HEAD as u64 {
             return Ok(None);
         }
         let mut head = [0; HEAD];
         self.file.read_exact(&mut head)?;
-        let (length, sum) = head.split_at(4);
-        let length = u32::from_le_bytes(length.try_into().expect("four bytes")) as u64;
+        let [length, sum] = [0, 4]
+            .map(|at| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]));
+        let length = u64::from(length);
         // A damaged length must not ask for more than there is.
         if length > self.left - HEAD as u64 {
             return Ok(None);
         }
         let mut content = vec![0; length as usize];
         self.file.read_exact(&mut content)?;
-        if checksum(&content) != sum {
+        if crc32fast::hash(&content) != sum {
             return Ok(None);
         }
         self.at += HEAD as u64 + length;
