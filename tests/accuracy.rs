@@ -2,6 +2,9 @@
 
 #[path = "accuracy/generated.rs"]
 mod generated;
+#[path = "accuracy/metal.rs"]
+mod metal;
+mod plates;
 mod random;
 
 use generated::{COLUMNS, Optics, kind, part};
@@ -22,14 +25,24 @@ fn scene_text(number: u64) -> String {
     }
     let size = COLUMNS * optics.object_px() * 1e-3;
     let part = part(random, kind(number), size);
-    assemble(number, random, &optics, &part, size)
+    assemble(number, random, &optics, (&part, None), size)
 }
 
-/// A scene over `size` mm of a part.
-fn assemble(number: u64, random: &mut Random, optics: &Optics, part: &str, size: f64) -> String {
+/// A scene over `size` mm of a part and its surface, white paint if none is given.
+fn assemble(
+    number: u64,
+    random: &mut Random,
+    optics: &Optics,
+    (part, surface): (&str, Option<&str>),
+    size: f64,
+) -> String {
     let tolerance = optics.um_per_px() * random.scale(0.003, 1.0);
     let full_well = 15000.0;
-    let exposure = optics.exposure(full_well * random.between(0.2, 0.7));
+    let share = random.between(0.2, 0.7);
+    let exposure = match surface {
+        None => format!("exposure_ms = {}", optics.exposure(full_well * share)),
+        Some(_) => format!("exposure = \"auto\"\nexposure_share = {share}"),
+    };
     let noise = match random.choice(4) {
         0 => String::new(),
         _ => format!("read_noise_e = {}", random.between(4.0, 20.0)),
@@ -37,14 +50,20 @@ fn assemble(number: u64, random: &mut Random, optics: &Optics, part: &str, size:
     let speckle = random.choice(4) > 0;
     let patterns = [1, 1, 4, 16, 64][random.choice(5)];
     let frames = FRAMES;
-    let sensor = optics.tables(exposure, full_well, &noise, patterns);
+    let sensor = optics.tables(&exposure, full_well, &noise, patterns);
+    let surface = surface.map_or_else(
+        || {
+            let polarisation = random.between(0.0, 1.0);
+            format!("reflectance = 0.9\npolarisation_degree = {polarisation}")
+        },
+        |surface| format!("[part.surface]\n{surface}"),
+    );
     format!(
         r#"seed = {number}
 speckle = {speckle}
 [part]
 {part}
-reflectance = 0.9
-polarisation_degree = {polarisation}
+{surface}
 {sensor}[scan]
 frames = {frames}
 step_mm = {step}
@@ -53,7 +72,6 @@ direction = [0, 1, 0]
 [accuracy]
 height_um = {tolerance}
 "#,
-        polarisation = random.between(0.0, 1.0),
         step = 0.7 * size / frames as f64,
         start = -0.31 * size,
     )
@@ -186,6 +204,27 @@ fn summary(all: &[Kept]) {
     assert!(share < 0.01, "{share}");
 }
 
+fn metal_table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
+    eprintln!("{HEAD}");
+    numbers
+        .map(|number| {
+            let folder = TempDir::new().unwrap();
+            let text = metal::scene_text(number, folder.path());
+            let kept = kept(&text, folder.path());
+            eprintln!(
+                "{}",
+                row(&format!("{number}, {}", metal::kind(number)), &kept)
+            );
+            kept
+        })
+        .collect()
+}
+
+#[test]
+fn plans_of_metal_keep_their_word() {
+    summary(&metal_table(0..8));
+}
+
 #[test]
 fn plans_of_six_kinds_keep_their_word() {
     summary(&table(6..12));
@@ -236,7 +275,7 @@ fn plans_of_real_parts_keep_their_word() {
             let random = &mut Random::new(number);
             let optics = Optics::random(random).fitted(bounds.size());
             let size = bounds.size().y;
-            let text = assemble(number, random, &optics, &part, size);
+            let text = assemble(number, random, &optics, (&part, None), size);
             let kept = kept(&text, folder.path());
             eprintln!("{}", row(name, &kept));
             all.push(kept);

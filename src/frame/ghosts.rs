@@ -34,6 +34,17 @@ pub struct Reflections {
     pub per_pixel: f64,
 }
 
+impl Reflections {
+    /// The same with so many times the paths.
+    pub(crate) fn times(self, times: f64) -> Reflections {
+        Reflections {
+            from_laser: (times * self.from_laser as f64) as u32,
+            per_pixel: times * self.per_pixel,
+            ..self
+        }
+    }
+}
+
 /// What a frame has to know of light that is reflected more than once.
 #[derive(Debug, Clone, Copy)]
 pub struct Indirect {

@@ -183,7 +183,7 @@ impl MetAgain {
         let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
         let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
         let chosen = needed as f64 / PILOT as f64;
-        Ok((pilots.times(chosen), ratio * (measured / chosen).sqrt()))
+        Ok((pilots.few.times(chosen), ratio * (measured / chosen).sqrt()))
     }
 }
 
@@ -217,19 +217,10 @@ impl Pilots<'_> {
         }
     }
 
-    /// So many times the paths of the first.
-    fn times(&self, times: f64) -> Reflections {
-        Reflections {
-            from_laser: (times * PILOT as f64) as u32,
-            per_pixel: times * self.few.per_pixel,
-            ..self.few
-        }
-    }
-
     /// Noise over the sensor's own of so many times the paths in a frame.
     fn noise(&self, frame: u32, times: f64, watch: &Watch) -> Result<f64> {
         let plan = Plan {
-            reflections: Some(self.times(times)),
+            reflections: Some(self.few.times(times)),
             ..self.plan.clone()
         };
         let image = |seed: u64| {

@@ -36,7 +36,10 @@ pub fn keeps_word(scene: &Scene, frames: &[u32]) -> Result<Kept> {
     let (scene, accel) = hierarchy(scene, &|_| Ok(()))?;
     let (scene, accel) = (&*scene, Arc::new(accel));
     let plan = scene_plan_with(scene, &accel, &|_| Ok(()))?;
-    let base = crate::run::simulation::plan(scene, &accel);
+    let base = Plan {
+        reflections: plan.reflections,
+        ..crate::run::simulation::plan(scene, &accel)
+    };
     let seen = plan.accuracy.as_ref().map(|a| a.pilot_frames.clone());
     let seen = seen.unwrap_or_default();
     let unseen = frames.iter().copied().filter(|frame| !seen.contains(frame));
