@@ -7,8 +7,8 @@ use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
 
-/// Paths of the full model for each of a plan's: a quarter of their noise is left.
-const PATHS: f64 = 16.0;
+/// Paths of the full model for each of a plan's: of their variance a quarter is left.
+const PATHS: f64 = 4.0;
 
 /// What others are measured against: every sample traced, at least twice as many as the
 /// scene's rules or its plan ask for, to the end of the beam; and light that is reflected more than
