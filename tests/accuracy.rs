@@ -2,9 +2,12 @@
 
 #[path = "accuracy/generated.rs"]
 mod generated;
+#[path = "accuracy/metal.rs"]
+mod metal;
+mod plates;
 mod random;
 
-use generated::{COLUMNS, Optics, kind, part};
+use generated::{COLUMNS, Optics, ROWS, kind, part};
 use lasertrace::mesh;
 use lasertrace::scene::Scene;
 use lasertrace::study::{Kept, keeps_word};
@@ -22,29 +25,46 @@ fn scene_text(number: u64) -> String {
     }
     let size = COLUMNS * optics.object_px() * 1e-3;
     let part = part(random, kind(number), size);
-    assemble(number, random, &optics, &part, size)
+    assemble(number, random, &optics, (&part, None), size)
 }
 
-/// A scene over `size` mm of a part.
-fn assemble(number: u64, random: &mut Random, optics: &Optics, part: &str, size: f64) -> String {
+/// A scene over `size` mm of a part and its surface, white paint if none is given.
+fn assemble(
+    number: u64,
+    random: &mut Random,
+    optics: &Optics,
+    (part, surface): (&str, Option<&str>),
+    size: f64,
+) -> String {
     let tolerance = optics.um_per_px() * random.scale(0.003, 1.0);
     let full_well = 15000.0;
-    let exposure = optics.exposure(full_well * random.between(0.2, 0.7));
+    let share = random.between(0.2, 0.7);
+    let exposure = match surface {
+        None => format!("exposure_ms = {}", optics.exposure(full_well * share)),
+        Some(_) => format!("exposure = \"auto\"\nexposure_share = {share}"),
+    };
     let noise = match random.choice(4) {
-        0 => String::new(),
+        // Without noise no number of paths has less.
+        0 if surface.is_none() => String::new(),
         _ => format!("read_noise_e = {}", random.between(4.0, 20.0)),
     };
     let speckle = random.choice(4) > 0;
     let patterns = [1, 1, 4, 16, 64][random.choice(5)];
     let frames = FRAMES;
-    let sensor = optics.tables(exposure, full_well, &noise, patterns);
+    let sensor = optics.tables(&exposure, full_well, &noise, patterns);
+    let surface = surface.map_or_else(
+        || {
+            let polarisation = random.between(0.0, 1.0);
+            format!("reflectance = 0.9\npolarisation_degree = {polarisation}")
+        },
+        |surface| format!("[part.surface]\n{surface}"),
+    );
     format!(
         r#"seed = {number}
 speckle = {speckle}
 [part]
 {part}
-reflectance = 0.9
-polarisation_degree = {polarisation}
+{surface}
 {sensor}[scan]
 frames = {frames}
 step_mm = {step}
@@ -53,7 +73,6 @@ direction = [0, 1, 0]
 [accuracy]
 height_um = {tolerance}
 "#,
-        polarisation = random.between(0.0, 1.0),
         step = 0.7 * size / frames as f64,
         start = -0.31 * size,
     )
@@ -61,14 +80,14 @@ height_um = {tolerance}
 
 /// Of a scan; plans are made from some of them.
 const FRAMES: u32 = 150;
-/// Frames that a plan is held against, less those it was made from: one of fifteen.
+/// Frames that a plan is held against, less those it was made from: one of fifteen, of metal one of thirty.
 const JUDGED_EVERY: usize = 15;
 
-fn kept(text: &str, folder: &Path) -> Kept {
+fn kept(text: &str, folder: &Path, every: usize) -> Kept {
     let path = folder.join("scene.toml");
     fs::write(&path, text).unwrap();
     let scene = Scene::load(&path).unwrap();
-    let frames: Vec<u32> = (3..FRAMES).step_by(JUDGED_EVERY).collect();
+    let frames: Vec<u32> = (3..FRAMES).step_by(every).collect();
     keeps_word(&scene, &frames).unwrap()
 }
 
@@ -79,21 +98,29 @@ fn row(number: &str, kept: &Kept) -> String {
     let number_or = |um: Option<f64>| um.map_or("–".into(), |um| format!("{um:.2}"));
     let method = match plan.geometry_only {
         true => "geometry".into(),
-        false => format!(
-            "{} {}{}{} {:.2} w",
-            plan.samples_per_side,
-            match plan.sampling {
-                lasertrace::frame::Sampling::Planes => "planes",
-                lasertrace::frame::Sampling::Rays => "rays",
-            },
-            if plan.speckle.is_some() {
-                " speckle"
-            } else {
-                ""
-            },
-            if plan.noise { " noise" } else { "" },
-            plan.cutoff_radii
-        ),
+        false => {
+            format!(
+                "{} {}{}{} {:.2} w",
+                plan.samples_per_side,
+                match plan.sampling {
+                    lasertrace::frame::Sampling::Planes => "planes",
+                    lasertrace::frame::Sampling::Rays => "rays",
+                },
+                if plan.speckle.is_some() {
+                    " speckle"
+                } else {
+                    ""
+                },
+                if plan.noise { " noise" } else { "" },
+                plan.cutoff_radii
+            ) + &plan.reflections.map_or(String::new(), |r| {
+                let from_camera = r.per_pixel * COLUMNS * ROWS;
+                format!(
+                    ", {} reflections {} + {from_camera:.0} paths",
+                    r.most, r.from_laser
+                )
+            })
+        }
     };
     format!(
         "| {number} | {:.2} | {} | {:.2} | {} | {} | {} | {:.2} | {:.2} | {:.2} | {} | {} | {:.0} | \
@@ -126,7 +153,7 @@ fn table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
     eprintln!("{HEAD}");
     numbers
         .map(|number| {
-            let kept = kept(&scene_text(number), folder.path());
+            let kept = kept(&scene_text(number), folder.path(), JUDGED_EVERY);
             eprintln!("{}", row(&format!("{number}, {}", kind(number)), &kept));
             kept
         })
@@ -199,6 +226,38 @@ fn a_hundred_plans_keep_their_word() {
     summary(&table(98..140));
 }
 
+fn metal_table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
+    eprintln!("{HEAD}");
+    numbers
+        .map(|number| {
+            let folder = TempDir::new().unwrap();
+            let text = metal::scene_text(number, folder.path());
+            let kept = kept(&text, folder.path(), 2 * JUDGED_EVERY);
+            let name = format!("{number}, {}", metal::kind(number));
+            let paths = kept
+                .beyond_of_paths
+                .map_or("–".into(), |b| format!("{:.2}", 100.0 * b));
+            let noise = kept
+                .plan
+                .reflections_noise
+                .map_or("–".into(), |n| format!("{n:.2}"));
+            eprintln!("{} {paths} | {noise} |", row(&name, &kept));
+            kept
+        })
+        .collect()
+}
+
+#[test]
+fn plans_of_metal_keep_their_word() {
+    summary(&metal_table(0..3));
+}
+
+#[test]
+#[ignore = "an hour"]
+fn sixty_plans_of_metal_keep_their_word() {
+    summary(&metal_table(0..60));
+}
+
 /// File and millimetres of its unit.
 const PARTS: &[(&str, &str, f64)] = &[
     ("NIST_MBE_PMI_1_l0.1.stl", "mm", 1.0),
@@ -236,8 +295,8 @@ fn plans_of_real_parts_keep_their_word() {
             let random = &mut Random::new(number);
             let optics = Optics::random(random).fitted(bounds.size());
             let size = bounds.size().y;
-            let text = assemble(number, random, &optics, &part, size);
-            let kept = kept(&text, folder.path());
+            let text = assemble(number, random, &optics, (&part, None), size);
+            let kept = kept(&text, folder.path(), JUDGED_EVERY);
             eprintln!("{}", row(name, &kept));
             all.push(kept);
         }

@@ -55,14 +55,14 @@ def stl(path, triangles):
 
 
 def ply(path, triangles):
-    points = triangles.reshape(-1, 3)
-    with open(path, "w") as file:
-        file.write("ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\nproperty float z\n"
-                   "element face %d\nproperty list uchar int vertex_indices\nend_header\n"
-                   % (len(points), len(triangles)))
-        np.savetxt(file, points, fmt="%.9g")
-        for i in range(len(triangles)):
-            file.write("3 %d %d %d\n" % (3 * i, 3 * i + 1, 3 * i + 2))
+    count = len(triangles)
+    faces = np.zeros(count, dtype=np.dtype([("n", "u1"), ("v", "<i4", 3)]))
+    faces["n"], faces["v"] = 3, np.arange(3 * count).reshape(-1, 3)
+    with open(path, "wb") as file:
+        file.write(b"ply\nformat binary_little_endian 1.0\nelement vertex %d\nproperty float x\nproperty float y\n"
+                   b"property float z\nelement face %d\nproperty list uchar int vertex_indices\nend_header\n"
+                   % (3 * count, count))
+        file.write(triangles.reshape(-1, 3).astype("<f4").tobytes() + faces.tobytes())
 
 
 def projector(look_at):
@@ -90,8 +90,8 @@ def projector(look_at):
     }
 
 
-def theirs(mesh, bsdf, camera, target, depth, samples, seed):
-    scene = mi.load_dict({
+def their_scene(mesh, bsdf, camera, target, depth):
+    return mi.load_dict({
         "type": "scene",
         "part": {"type": "ply", "filename": mesh, "face_normals": True,
                  "bsdf": {"type": "twosided", "bsdf": bsdf}},
@@ -102,10 +102,13 @@ def theirs(mesh, bsdf, camera, target, depth, samples, seed):
             "to_world": mi.ScalarTransform4f().look_at(list(camera), list(target), [0, 0, 1]),
             "film": {"type": "hdrfilm", "width": SIZE[0], "height": SIZE[1], "pixel_format": "luminance",
                      "rfilter": {"type": "box"}, "component_format": "float32"},
-            "sampler": {"type": "independent", "sample_count": samples},
+            "sampler": {"type": "independent"},
         },
         "integrator": {"type": "ptracer", "max_depth": depth, "rr_depth": 1000, "hide_emitters": True},
     })
+
+
+def theirs(scene, samples, seed):
     return np.array(mi.render(scene, seed=seed, spp=samples))[:, :, 0].astype(float)
 
 
@@ -144,24 +147,26 @@ frames = 1
 [plan]
 blur = "none"
 # The ends of the fan are sharp, and cut pixels.
-samples_per_side = 16
+samples_per_side = %(samples)d
 """
 
 
-def ours(program, out, mesh, surface, camera, target, most):
+def ours(program, out, mesh, surface, camera, target, most, paths=PATHS, samples=16):
+    """Images of light reflected once and of more, over all of the first; and what the program prints."""
     image_distance = 25 * 190 / (190 - 25)
     pitch = image_distance * np.tan(np.radians(HALF_VIEW_DEG)) / (SIZE[0] / 2)
     path, images = os.path.join(out, "scene.toml"), os.path.join(out, "images.f32")
     with open(path, "w") as file:
         file.write(SCENE % {"mesh": os.path.abspath(mesh), "surface": surface, "columns": SIZE[0], "rows": SIZE[1],
-                            "pitch": pitch * 1e3, "camera": list(camera), "target": list(target)})
-    subprocess.run([program, path, images, str(most), str(PATHS), str(IMAGES)], check=True)
+                            "pitch": pitch * 1e3, "camera": list(camera), "target": list(target), "samples": samples})
+    said = subprocess.run([program, path, images, str(most), str(paths), str(IMAGES)], check=True,
+                          stdout=subprocess.PIPE, text=True).stdout
     # Irradiance on the sensor is radiance times cos⁴.
     x = (np.arange(SIZE[0]) + 0.5 - SIZE[0] / 2) * pitch
     y = (np.arange(SIZE[1]) + 0.5 - SIZE[1] / 2) * pitch
     cos4 = (image_distance**2 / (image_distance**2 + x[None, :] ** 2 + y[:, None] ** 2)) ** 2
     direct, *more = np.fromfile(images, "<f4").astype(float).reshape(-1, SIZE[1], SIZE[0]) / cos4
-    return direct / direct.sum(), [image / direct.sum() for image in more]
+    return direct / direct.sum(), [image / direct.sum() for image in more], said
 
 
 def metal(alpha):
@@ -179,9 +184,9 @@ def compare(name, program, out, stl, kind, camera, target, most, samples):
     surface, bsdf = kind
     mesh = os.path.join(out, "part.ply")
     ply(mesh, triangles_of(stl))
-    once, more = ours(program, out, stl, surface, camera, target, most)
-    direct = [theirs(mesh, bsdf, camera, target, 2, samples, 100 + seed) for seed in range(IMAGES)]
-    whole = [theirs(mesh, bsdf, camera, target, most + 1, samples, seed) for seed in range(IMAGES)]
+    once, more, _ = ours(program, out, stl, surface, camera, target, most)
+    direct, whole = [[theirs(their_scene(mesh, bsdf, camera, target, depth), samples, first + seed)
+                      for seed in range(IMAGES)] for depth, first in ((2, 100), (most + 1, 0))]
     sums = np.array([image.sum() for image in direct])
     scale_error = sums.std(ddof=1) / IMAGES**0.5 / sums.mean()
     mine, other = [image + once for image in more], [image / sums.mean() for image in whole]
@@ -230,4 +235,5 @@ def main():
     sys.exit(0 if all(good) else 1)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -543,7 +543,7 @@ fn mistake(case: &Case) -> String {
     message
 }
 
-/// The warnings of a scene: lines of the page, exit code 0; with `--strict` an error.
+/// The warnings of a scene: lines of the page, exit code 0; with `--strict` an error before anything is written.
 fn warnings(case: &Case) -> Vec<String> {
     let folder = folder_of(case);
     let (code, page, stderr) = run(folder.path(), &["check", "scene.toml"]);
@@ -553,14 +553,14 @@ fn warnings(case: &Case) -> Vec<String> {
         .filter_map(|line| line.strip_prefix("warning: "));
     let warnings: Vec<String> = lines.map(str::to_owned).collect();
     assert_says(case, &warnings.join("\n"));
-    let (code, stdout, stderr) = run(folder.path(), &["check", "scene.toml", "--strict"]);
-    assert_eq!((code, stdout.as_str()), (65, ""), "{}", case.what);
-    assert!(
-        warnings
-            .iter()
-            .all(|warning| stderr.contains(warning.as_str())),
-        "{stderr}"
-    );
+    for command in [&["check"][..], &["scan", "-o", "out"]] {
+        let arguments = [command, &["scene.toml", "--strict"]].concat();
+        let (code, stdout, stderr) = run(folder.path(), &arguments);
+        assert_eq!((code, stdout.as_str()), (65, ""), "{}", case.what);
+        let said = |warning: &String| stderr.contains(warning.as_str());
+        assert!(warnings.iter().all(said), "{stderr}");
+    }
+    assert!(!folder.path().join("out").exists(), "{}", case.what);
     warnings
 }
 

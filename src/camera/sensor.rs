@@ -218,6 +218,12 @@ impl Sensor {
         })
     }
 
+    /// Variance of counts without light, rounding among it, electrons².
+    pub(crate) fn dark_variance_e(&self) -> f64 {
+        let rounding = 1.0 / (12.0 * self.gain_dn_per_e.powi(2));
+        self.dark_noise_e().powi(2) + rounding
+    }
+
     fn digitised(&self, electrons: f64) -> u16 {
         let dn = electrons * self.gain_dn_per_e + self.black_level_dn;
         // Rounded by the cast: `round` is a call on baseline x86-64.

@@ -19,7 +19,9 @@ use crate::accel::{Ray, WIDTH};
 use crate::laser::gaussian;
 use crate::math::rng::Key;
 use crate::math::{DVec2, DVec3, Rigid, Sequence};
+use glam::UVec2;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 use std::f32::consts::{LN_2, PI};
 use std::ops::Range;
 
@@ -32,6 +34,17 @@ pub struct Reflections {
     pub from_laser: u32,
     /// Paths from the camera for each pixel, 0 for none.
     pub per_pixel: f64,
+}
+
+impl Reflections {
+    /// The same with so many times the paths.
+    pub(crate) fn times(self, times: f64) -> Reflections {
+        Reflections {
+            from_laser: (times * self.from_laser as f64) as u32,
+            per_pixel: times * self.per_pixel,
+            ..self
+        }
+    }
 }
 
 /// What a frame has to know of light that is reflected more than once.
@@ -129,6 +142,8 @@ struct Splat {
     irradiance: f32,
     /// From the laser to the pupil, mm.
     length: f32,
+    /// Number by which its path from the laser started; 0 of those from the camera.
+    start: f64,
 }
 
 /// The light that is reflected at least twice, as the lens spreads it. The same bytes for any number of
@@ -139,51 +154,31 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
         key,
         coherence_length,
     } = indirect;
-    let tracer = Tracer {
+    let resolution = view.camera.sensor.resolution;
+    let mut tracer = Tracer {
         view,
         eye: Eye::new(view),
         laser_from_part: view.part_from_laser.inverse(),
         reflections,
+        blocks: Blocks::none(resolution),
+        starts: Starts::new([0.0; STARTS]),
     };
-    let resolution = view.camera.sensor.resolution;
+    tracer.learn(key.with(2));
     let mut image = vec![0.0; resolution.element_product() as usize];
     let mixed = view.speckle.is_some() && coherence_length < f64::INFINITY;
     let mut pairs = vec![Pairs::default(); if mixed { image.len() } else { 0 }];
-    let sequence = Sequence::new(key.with(0));
-    let mut add = |tasks: u32, splats: &(dyn Fn(u32) -> Vec<Splat> + Sync)| {
-        for first in (0..tasks).step_by(TASKS as usize) {
-            let some = (first..(first + TASKS).min(tasks)).into_par_iter();
-            // In the order of tasks.
-            for splats in some.map(splats).collect::<Vec<_>>() {
-                for splat in splats {
-                    let pixel = splat.pixel as usize;
-                    image[pixel] += splat.irradiance as f64;
-                    if mixed {
-                        pairs[pixel].add(splat.irradiance, splat.length, coherence_length as f32);
-                    }
-                }
-            }
+    let add = &mut |splat: Splat| {
+        let pixel = splat.pixel as usize;
+        image[pixel] += splat.irradiance as f64;
+        if mixed {
+            pairs[pixel].add(splat.irradiance, splat.length, coherence_length as f32);
         }
     };
-    add(reflections.from_laser.div_ceil(TASK), &|task| {
-        let paths = TASK * task..(TASK * (task + 1)).min(reflections.from_laser);
-        let mut splats = Vec::new();
-        for first in paths.clone().step_by(WIDTH) {
-            let last = (first + WIDTH as u32).min(paths.end);
-            tracer.laser_paths(first..last, &sequence, &mut splats);
-        }
-        splats
+    let sequence = Sequence::new(key.with(0));
+    in_tasks(reflections.from_laser, add, |paths, splats| {
+        tracer.laser_paths(paths, &sequence, splats)
     });
-    let blocks = Blocks::new(view, reflections.per_pixel);
-    add(blocks.rows() * blocks.per_block, &|task| {
-        let mut splats = Vec::new();
-        let sequence = Sequence::new(key.with(1).with((task / blocks.per_block) as u64));
-        for first in (0..blocks.columns()).step_by(WIDTH) {
-            let columns = first..(first + WIDTH as u32).min(blocks.columns());
-            tracer.camera_paths(&blocks, task, columns, &sequence, &mut splats);
-        }
-        splats
-    });
+    tracer.from_camera(key.with(1), add);
     let pixels = lit_pixels(&image, resolution, region);
     let columns = resolution.x as usize;
     let lit = || {
@@ -198,6 +193,28 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
     Ghosts {
         mean: Irradiance::new(Rows::new(pixels), values),
         contrast,
+    }
+}
+
+/// Follows paths a packet at a time on all cores; hands on their light in the order of tasks.
+fn in_tasks(
+    paths: u32,
+    add: &mut dyn FnMut(Splat),
+    follow: impl Fn(Range<u32>, &mut Vec<Splat>) + Sync,
+) {
+    let of_task = |task: u32| {
+        let mut splats = Vec::new();
+        let end = (TASK * (task + 1)).min(paths);
+        for first in (TASK * task..end).step_by(WIDTH) {
+            follow(first..(first + WIDTH as u32).min(end), &mut splats);
+        }
+        splats
+    };
+    let tasks = paths.div_ceil(TASK);
+    for first in (0..tasks).step_by(TASKS as usize) {
+        let some = (first..(first + TASKS).min(tasks)).into_par_iter();
+        let splats: Vec<Vec<Splat>> = some.map(of_task).collect();
+        splats.into_iter().flatten().for_each(&mut *add);
     }
 }
 
@@ -228,6 +245,8 @@ pub fn met_again(view: &View, paths: u32, key: Key) -> [f64; 2] {
             from_laser: paths,
             per_pixel: 0.0,
         },
+        blocks: Blocks::none(view.camera.sensor.resolution),
+        starts: Starts::new([0.0; STARTS]),
     };
     let sequence = Sequence::new(key);
     let mut power = [0.0; 2];
@@ -244,41 +263,116 @@ pub fn met_again(view: &View, paths: u32, key: Key) -> [f64; 2] {
     power
 }
 
-/// Squares of pixels that share paths from the camera, or pixels that have several.
+/// Side of the squares of pixels that share paths from the camera.
+const SIDE: u32 = 8;
+/// Share of the paths from the camera by which it is learnt where they are needed, and of those that lie evenly
+/// afterwards.
+const EVEN: f64 = 0.125;
+
+/// Paths from the camera, so many in each square of pixels.
 struct Blocks {
-    columns: u32,
-    rows: u32,
-    /// Pixels.
-    side: u32,
-    per_block: u32,
+    resolution: UVec2,
+    /// Number of those before each square, and of all.
+    first: Vec<u32>,
 }
 
 impl Blocks {
-    fn new(view: &View, per_pixel: f64) -> Blocks {
-        let resolution = view.camera.sensor.resolution;
-        let (side, per_block) = match per_pixel {
-            none if none <= 0.0 => (1, 0),
-            few if few < 1.0 => ((1.0 / few.sqrt()).round().max(1.0) as u32, 1),
-            more => (1, more.round() as u32),
-        };
-        Blocks {
-            columns: resolution.x,
-            rows: resolution.y,
-            side,
-            per_block,
+    fn none(resolution: UVec2) -> Blocks {
+        Blocks::new(resolution, |_| 0.0)
+    }
+
+    fn new(resolution: UVec2, paths: impl Fn(usize) -> f64) -> Blocks {
+        let count = resolution.x.div_ceil(SIDE) * resolution.y.div_ceil(SIDE);
+        let mut first = vec![0];
+        for block in 0..count as usize {
+            first.push(first[block] + paths(block).ceil() as u32);
         }
+        Blocks { resolution, first }
     }
 
-    fn columns(&self) -> u32 {
-        self.columns.div_ceil(self.side)
+    fn count(&self) -> usize {
+        self.first.len() - 1
     }
 
-    fn rows(&self) -> u32 {
-        self.rows.div_ceil(self.side)
+    fn across(&self) -> usize {
+        self.resolution.x.div_ceil(SIDE) as usize
     }
 
-    fn per_pixel(&self) -> f64 {
-        self.per_block as f64 / (self.side * self.side) as f64
+    /// In all squares.
+    fn paths(&self) -> u32 {
+        self.first[self.count()]
+    }
+
+    /// The square of a path, and the path's number in it.
+    fn of_path(&self, path: u32) -> (usize, u32) {
+        let block = self.first.partition_point(|&first| first <= path) - 1;
+        (block, path - self.first[block])
+    }
+
+    fn of_pixel(&self, pixel: u32) -> usize {
+        let [column, row] = [pixel % self.resolution.x, pixel / self.resolution.x];
+        (row / SIDE) as usize * self.across() + (column / SIDE) as usize
+    }
+
+    /// First pixel of a square, and its size.
+    fn place(&self, block: usize) -> [DVec2; 2] {
+        let first = SIDE
+            * UVec2::new(
+                (block % self.across()) as u32,
+                (block / self.across()) as u32,
+            );
+        let size = (self.resolution - first).min(UVec2::splat(SIDE));
+        [first, size].map(|pixels| pixels.as_dvec2())
+    }
+
+    fn per_pixel(&self, block: usize) -> f64 {
+        let paths = self.first[block + 1] - self.first[block];
+        paths as f64 / self.place(block)[1].element_product()
+    }
+
+    /// Sums over a square and its neighbours.
+    fn around(&self, values: &[DVec2], block: usize) -> DVec2 {
+        let (across, down) = (self.across(), self.count() / self.across());
+        let near = |i: usize, end: usize| i.saturating_sub(1)..(i + 2).min(end);
+        let rows = near(block / across, down);
+        rows.flat_map(|row| &values[row * across..][near(block % across, across)])
+            .sum()
+    }
+}
+
+/// Parts of the fan that are told apart.
+const STARTS: usize = 64;
+/// Share of the paths from the laser that starts evenly.
+const EVEN_STARTS: f64 = 0.25;
+
+/// Where along the fan paths from the laser start.
+struct Starts {
+    /// Share of the paths before each part, and of all.
+    first: [f64; STARTS + 1],
+}
+
+impl Starts {
+    /// In proportion to `needs`, but for those that start evenly.
+    fn new(needs: [f64; STARTS]) -> Starts {
+        let all: f64 = needs.iter().sum();
+        let mut first = [0.0; STARTS + 1];
+        for (part, need) in needs.iter().enumerate() {
+            let even = 1.0 / STARTS as f64;
+            let share = if all > 0.0 { need / all } else { even };
+            first[part + 1] = first[part] + EVEN_STARTS * even + (1.0 - EVEN_STARTS) * share;
+        }
+        Starts { first }
+    }
+
+    /// A number of 0 to 1, drawn evenly, as one drawn so; and its density.
+    fn drawn(&self, u: f64) -> (f64, f64) {
+        let part = self.first[1..STARTS].partition_point(|&first| first <= u);
+        let share = self.first[part + 1] - self.first[part];
+        let within = ((u - self.first[part]) / share).clamp(0.0, 1.0 - f64::EPSILON);
+        (
+            (part as f64 + within) / STARTS as f64,
+            share * STARTS as f64,
+        )
     }
 }
 
@@ -288,6 +382,8 @@ struct Tracer<'a> {
     eye: Eye<'a>,
     laser_from_part: Rigid,
     reflections: &'a Reflections,
+    blocks: Blocks,
+    starts: Starts,
 }
 
 /// Two points that light may go between.
@@ -297,9 +393,61 @@ struct Between {
     irradiance: f64,
     /// Of the whole path, mm.
     length: f64,
+    start: f64,
 }
 
 impl Tracer<'_> {
+    /// Learns from a share of the paths where others are needed, so that their noise over the sensor's own becomes about the
+    /// same everywhere: how many from the camera in each square of pixels, and where along the fan those from the laser
+    /// start. These give no light to the image, which would depend on what they met.
+    fn learn(&mut self, key: Key) {
+        let sensor = &self.view.camera.sensor;
+        let count = self.reflections.per_pixel * sensor.resolution.as_dvec2().element_product();
+        let even = EVEN * count / self.blocks.count() as f64;
+        self.blocks = Blocks::new(sensor.resolution, |_| even);
+        let (mut from_laser, mut from_camera) = (Vec::new(), Vec::new());
+        let sequence = Sequence::new(key.with(0));
+        let few = (EVEN * self.reflections.from_laser as f64) as u32;
+        in_tasks(few, &mut |splat| from_laser.push(splat), |paths, splats| {
+            self.laser_paths(paths, &sequence, splats)
+        });
+        self.from_camera(key.with(1), &mut |splat| from_camera.push(splat));
+        // Light, and the squares of what paths from the camera carry.
+        let mut found = vec![DVec2::ZERO; self.blocks.count()];
+        for (splats, times, of_camera) in
+            [(&from_laser, EVEN.recip(), 0.0), (&from_camera, 1.0, 1.0)]
+        {
+            for splat in splats {
+                let irradiance = splat.irradiance as f64;
+                found[self.blocks.of_pixel(splat.pixel)] +=
+                    DVec2::new(times * irradiance, of_camera * irradiance.powi(2));
+            }
+        }
+        let electrons = sensor.electrons_per_irradiance(self.view.laser.beam.wavelength);
+        let dark = sensor.dark_variance_e() / electrons * f64::from(9 * SIDE * SIDE);
+        let around = |block| self.blocks.around(&found, block) + DVec2::X * dark;
+        let around: Vec<DVec2> = (0..found.len()).map(around).collect();
+        let mut needs = [0.0; STARTS];
+        for splat in &from_laser {
+            let noise = around[self.blocks.of_pixel(splat.pixel)].x;
+            needs[(splat.start * STARTS as f64) as usize] +=
+                f64::from(splat.irradiance).powi(2) / noise;
+        }
+        self.starts = Starts::new(needs.map(f64::sqrt));
+        let need = |sums: &DVec2| if sums.y > 0.0 { sums.y / sums.x } else { 0.0 };
+        let all = around.iter().map(need).sum::<f64>().max(f64::MIN_POSITIVE);
+        let each = (1.0 - 2.0 * EVEN) * count / all;
+        self.blocks = Blocks::new(sensor.resolution, |block| {
+            even + each * need(&around[block])
+        });
+    }
+
+    fn from_camera(&self, key: Key, add: &mut dyn FnMut(Splat)) {
+        in_tasks(self.blocks.paths(), add, |paths, splats| {
+            self.camera_paths(paths, key, splats)
+        });
+    }
+
     fn pixel(&self, place: DVec2) -> u32 {
         place.y as u32 * self.view.camera.sensor.resolution.x + place.x as u32
     }
@@ -334,6 +482,7 @@ impl Tracer<'_> {
                         pixel: between.pixel,
                         irradiance: between.irradiance as f32,
                         length: between.length as f32,
+                        start: between.start,
                     });
                 }
             }
@@ -350,11 +499,16 @@ impl Tracer<'_> {
         let middle = view.laser.distance(center).max(1.0);
         let mut far = [middle; WIDTH];
         let mut hits = [None; WIDTH];
+        let drawn = |numbers: &Numbers| {
+            let u = numbers.start();
+            let (along, density) = self.starts.drawn(u.x);
+            (view.laser.stream(DVec2::new(along, u.y)), density)
+        };
+        let streams: SmallVec<[_; WIDTH]> = numbers.iter().map(drawn).collect();
         // Streams bend by little: aimed at where the first chord met the part, a second one is where light goes.
         for _ in 0..2 {
             let mut rays = [Ray::between(DVec3::ZERO, DVec3::Z).expect("a length"); WIDTH];
-            for (i, numbers) in numbers.iter().enumerate() {
-                let stream = view.laser.stream(numbers.start());
+            for (i, (stream, _)) in streams.iter().enumerate() {
                 let [aperture, aim] = [0.0, far[i]].map(|far| to_part.point(stream.at(far)));
                 if let Some(ray) = Ray::between(aperture, aim) {
                     rays[i] = Ray {
@@ -370,14 +524,16 @@ impl Tracer<'_> {
                 }
             }
         }
-        for (path, hit) in paths.iter_mut().zip(&hits) {
+        for ((path, hit), (_, density)) in paths.iter_mut().zip(&hits).zip(&streams) {
             path.clear();
-            if let Some(hit) = hit {
-                path.extend(
-                    self.lit(hit.point, hit.normal, hit.face.triangle)
-                        .map(|(_, vertex)| vertex),
-                );
-            }
+            let lit = hit
+                .as_ref()
+                .and_then(|hit| self.lit(hit.point, hit.normal, hit.face.triangle));
+            // What ways of finding a path count goes by even starts.
+            path.extend(lit.map(|(_, vertex)| Vertex {
+                carried: vertex.carried / density,
+                ..vertex
+            }));
         }
     }
 
@@ -432,7 +588,11 @@ impl Tracer<'_> {
         for (path, numbers) in paths.iter().zip(&numbers) {
             for count in 2..=path.len() {
                 let pupil = self.eye.pupil_point(numbers.pupil(count - 1));
-                between.extend(self.to_pupil(&path[..count], &pupil));
+                let joined = self.to_pupil(&path[..count], &pupil);
+                between.extend(joined.map(|between| Between {
+                    start: numbers.start().x,
+                    ..between
+                }));
             }
         }
         self.splat(&mut between, splats);
@@ -453,7 +613,8 @@ impl Tracer<'_> {
         let paths = self.reflections.from_laser as f64;
         let mut irradiance = last.carried / paths * bsdf * angle * looked.gain / looked.solid_angle;
         if self.reflections.per_pixel > 0.0 && irradiance > 0.0 {
-            let camera = Blocks::new(self.view, self.reflections.per_pixel).per_pixel();
+            let block = self.blocks.of_pixel(self.pixel(looked.place));
+            let camera = self.blocks.per_pixel(block);
             let ends = [
                 camera * angle / looked.solid_angle,
                 scatter.density_back(eye) * before.angle_per_area(last.point),
@@ -465,42 +626,35 @@ impl Tracer<'_> {
             pixel: self.pixel(looked.place),
             irradiance,
             length: self.length(path, &[]),
+            start: 0.0,
         })
     }
 
-    /// One path in each of a row of blocks.
-    fn camera_paths(
-        &self,
-        blocks: &Blocks,
-        task: u32,
-        columns: Range<u32>,
-        sequence: &Sequence,
-        splats: &mut Vec<Splat>,
-    ) {
-        let (row, sample) = (task / blocks.per_block, task % blocks.per_block);
-        let resolution = self.view.camera.sensor.resolution.as_dvec2();
-        // Each block has samples of its own that lie evenly in it.
-        let index = |column: u32| column * blocks.per_block + sample;
-        let light_first = 256;
+    /// Up to a packet of paths from the camera, by their numbers.
+    fn camera_paths(&self, paths: Range<u32>, key: Key, splats: &mut Vec<Splat>) {
+        let blocks: Vec<(usize, u32)> = paths.map(|path| self.blocks.of_path(path)).collect();
+        // The paths of a square lie evenly in it.
+        let sequence = |&(block, _): &(usize, u32)| Sequence::new(key.with(block as u64));
+        let sequences: Vec<Sequence> = blocks.iter().map(sequence).collect();
         let of = |first: u32| -> Vec<Numbers> {
-            let numbers = columns.clone().map(|column| Numbers {
+            let pairs = sequences.iter().zip(&blocks);
+            let numbers = pairs.map(|(sequence, &(_, index))| Numbers {
                 sequence,
-                index: index(column),
+                index,
                 first,
             });
             numbers.collect()
         };
         let numbers = of(0);
-        let per_pixel = blocks.per_pixel();
         let mut rays = Vec::with_capacity(WIDTH);
         let mut looks = Vec::with_capacity(WIDTH);
-        for (column, numbers) in columns.clone().zip(&numbers) {
-            let corner = DVec2::new(column as f64, row as f64);
-            let place = (corner + numbers.start()) * blocks.side as f64;
+        for (&(block, _), numbers) in blocks.iter().zip(&numbers) {
+            let [first, size] = self.blocks.place(block);
+            let place = first + numbers.start() * size;
             let pupil = self
                 .eye
                 .pupil_point(numbers.sequence.pair(numbers.index, 255));
-            looks.push((place.cmplt(resolution).all()).then(|| self.eye.looked(place, &pupil)));
+            looks.push(self.eye.looked(place, &pupil));
             rays.push(Ray {
                 origin: pupil.origin,
                 direction: self.eye.direction(place, &pupil),
@@ -510,9 +664,10 @@ impl Tracer<'_> {
         let hits = self.view.accel.closest(&rays, |_, _| true);
         let mut paths = vec![Vec::new(); rays.len()];
         for (i, path) in paths.iter_mut().enumerate() {
-            let (Some(hit), Some(looked)) = (&hits[i], &looks[i]) else {
+            let (Some(hit), looked) = (&hits[i], &looks[i]) else {
                 continue;
             };
+            let per_pixel = self.blocks.per_pixel(blocks[i].0);
             let pupil = self
                 .eye
                 .pupil_point(numbers[i].sequence.pair(numbers[i].index, 255));
@@ -531,13 +686,12 @@ impl Tracer<'_> {
         }
         let most = self.reflections.most as usize;
         walk(self.view, &mut paths, &numbers, most);
-        let light_numbers = of(light_first);
+        let light_numbers = of(256);
         let mut light = vec![Vec::new(); rays.len()];
         self.start(&mut light, &light_numbers);
         walk(self.view, &mut light, &light_numbers, most - 1);
         let mut between = Vec::new();
         for ((camera, light), looked) in paths.iter().zip(&light).zip(&looks) {
-            let Some(looked) = looked else { continue };
             let pixel = self.pixel(looked.place);
             for count in 1..=camera.len() {
                 let camera = &camera[..count];
@@ -581,6 +735,7 @@ impl Tracer<'_> {
             pixel,
             irradiance: irradiance * path.weight(0),
             length: self.length(&[], camera),
+            start: 0.0,
         })
     }
 
@@ -620,6 +775,7 @@ impl Tracer<'_> {
             pixel,
             irradiance: irradiance * path.weight(light.len()),
             length: self.length(light, camera),
+            start: 0.0,
         })
     }
 }

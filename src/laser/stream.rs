@@ -20,9 +20,9 @@ impl Laser {
     #[doc(hidden)]
     pub fn stream(&self, u: DVec2) -> Stream<'_> {
         // Irradiance exp(−2r²/w²) has a standard deviation of w/2.
-        let [x, y] = u.to_array().map(|u| normal_quantile(u) / 2.0);
+        let off = |u: f64| normal_quantile(u) / 2.0;
         let (angle, off) = match &self.fan {
-            None => (0.0, DVec2::new(x, y)),
+            None => (0.0, DVec2::new(off(u.x), off(u.y))),
             Some(fan) => {
                 let half = fan.angle / 2.0;
                 let angle = match fan.profile {
@@ -33,7 +33,7 @@ impl Laser {
                         half / 2.0 * normal_quantile(tail + u.x * (1.0 - 2.0 * tail))
                     }
                 };
-                (angle, DVec2::new(0.0, y))
+                (angle, DVec2::new(0.0, off(u.y)))
             }
         };
         Stream {

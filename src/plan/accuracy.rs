@@ -65,6 +65,7 @@ pub fn geometry_only(base: Plan) -> Plan {
         speckle: None,
         noise: false,
         blur: Blur::None,
+        reflections: None,
         ..base
     }
 }

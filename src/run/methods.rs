@@ -7,8 +7,12 @@ use crate::plan::accuracy::geometry_only;
 use crate::scene::Scene;
 use crate::speckle::lookup::Method;
 
+/// Paths of the full model for each of a plan's: of their variance a quarter is left.
+const PATHS: f64 = 4.0;
+
 /// What others are measured against: every sample traced, at least twice as many as the
-/// scene's rules or its plan ask for, to the end of the beam.
+/// scene's rules or its plan ask for, to the end of the beam; and light that is reflected more than
+/// once by [`PATHS`] times the plan's paths.
 pub(crate) fn full(base: &Plan, plan: &Plan) -> Plan {
     let most = base.samples_per_side.max(plan.samples_per_side);
     Plan {
@@ -17,6 +21,7 @@ pub(crate) fn full(base: &Plan, plan: &Plan) -> Plan {
         samples_per_side: (2 * most).max(8),
         cutoff_radii: CUTOFF_RADII,
         speckle_slips: plan.speckle_slips,
+        reflections: plan.reflections.map(|planned| planned.times(PATHS)),
         ..base.clone()
     }
 }

@@ -41,9 +41,8 @@ const BEYOND: f64 = 0.01;
 /// Paths from the laser, at least and at most.
 const LEAST: u32 = 1 << 12;
 const MOST: u32 = 1 << 22;
-/// Roughness from which on there are paths from the laser alone: in `scenes/corner/pocket.toml` they have less noise
-/// than as much time shared with paths from the camera, in its shaft as much. Below, lobes are too narrow to be met by
-/// chance.
+/// Roughness below which lobes are too narrow to be met by chance: there are paths from the camera, whatever the noise of
+/// those from the laser alone says.
 const ROUGH: f64 = 0.05;
 /// Time of a path from the laser and of one from the camera, ns of one core: of matt and metal parts of few
 /// triangles, to a factor of two.
@@ -162,20 +161,28 @@ impl MetAgain {
 
     /// So many paths that their noise is below the sensor's, and what it is of that.
     fn paths(&self, pilots: &Pilots, watch: &Watch) -> Result<(Reflections, f64)> {
-        let first = self.frames.len() as f64;
+        let first = (self.frames.len() * pilots.ways.len()) as f64;
         let all = first + f64::from(SECOND_PILOT);
-        let mut most_noise = (0.0, self.frames[0]);
-        for (i, &frame) in self.frames.iter().enumerate() {
-            let ratio = pilots.noise(frame, 1.0, &|share| watch((i as f64 + share) / all))?;
-            if ratio > most_noise.0 {
-                most_noise = (ratio, frame);
+        let mut done = 0.0;
+        let mut most_noise = |few: Reflections| -> Result<(f64, u32)> {
+            let mut most = (0.0, self.frames[0]);
+            for &frame in &self.frames {
+                let ratio = pilots.noise(frame, few, &|share| watch((done + share) / all))?;
+                done += 1.0;
+                if ratio > most.0 {
+                    most = (ratio, frame);
+                }
             }
-        }
-        let (mut ratio, frame) = most_noise;
+            Ok(most)
+        };
+        let ways = pilots.ways.iter().map(|&few| Ok((most_noise(few)?, few)));
+        let ways = ways.collect::<Result<Vec<_>>>()?.into_iter();
+        let least = ways.min_by(|((a, _), _), ((b, _), _)| a.total_cmp(b));
+        let ((mut ratio, frame), few) = least.expect("there is a way");
         let mut measured = 1.0;
         if (ratio / NOISE).powi(2) > f64::from(SECOND_PILOT) {
             measured = f64::from(SECOND_PILOT);
-            ratio = pilots.noise(frame, measured, &|share| {
+            ratio = pilots.noise(frame, few.times(measured), &|share| {
                 watch((first + measured * share) / all)
             })?;
         }
@@ -183,7 +190,7 @@ impl MetAgain {
         let needed = PILOT as f64 * measured * (ratio / NOISE).powi(2);
         let needed = (needed.clamp(LEAST as f64, MOST as f64) as u32).next_power_of_two();
         let chosen = needed as f64 / PILOT as f64;
-        Ok((pilots.times(chosen), ratio * (measured / chosen).sqrt()))
+        Ok((few.times(chosen), ratio * (measured / chosen).sqrt()))
     }
 }
 
@@ -192,44 +199,33 @@ struct Pilots<'a> {
     scene: &'a Scene,
     accel: &'a Arc<Accel>,
     plan: &'a Plan,
-    /// The paths of the first.
-    few: Reflections,
+    /// The paths of the first, in as much time each way: from the laser alone, where that may do, and from both ends.
+    ways: Vec<Reflections>,
     seeds: Range<u64>,
 }
 
 impl Pilots<'_> {
     fn new<'a>(scene: &'a Scene, accel: &'a Arc<Accel>, plan: &'a Plan, most: u32) -> Pilots<'a> {
         let pixels = scene.camera.sensor.resolution.as_dvec2().element_product();
-        let few = Reflections {
+        let shared = |laser: f64| Reflections {
             most,
-            from_laser: PILOT,
-            per_pixel: match needs_camera(scene) {
-                true => PILOT as f64 / pixels,
-                false => 0.0,
-            },
+            from_laser: (laser * PILOT as f64) as u32,
+            per_pixel: (1.0 - laser) * PILOT as f64 * PATH_NS / CAMERA_PATH_NS / pixels,
         };
+        let alone = (!needs_camera(scene)).then(|| shared(1.0));
         Pilots {
             scene,
             accel,
             plan,
-            few,
+            ways: alone.into_iter().chain([shared(0.5)]).collect(),
             seeds: 0..IMAGES,
         }
     }
 
-    /// So many times the paths of the first.
-    fn times(&self, times: f64) -> Reflections {
-        Reflections {
-            from_laser: (times * PILOT as f64) as u32,
-            per_pixel: times * self.few.per_pixel,
-            ..self.few
-        }
-    }
-
-    /// Noise over the sensor's own of so many times the paths in a frame.
-    fn noise(&self, frame: u32, times: f64, watch: &Watch) -> Result<f64> {
+    /// Noise over the sensor's own of these paths in a frame.
+    fn noise(&self, frame: u32, reflections: Reflections, watch: &Watch) -> Result<f64> {
         let plan = Plan {
-            reflections: Some(self.times(times)),
+            reflections: Some(reflections),
             ..self.plan.clone()
         };
         let image = |seed: u64| {
@@ -272,7 +268,7 @@ fn silent(scene: Scene, accel: &Arc<Accel>, plan: Plan) -> Result<Simulation> {
     Simulation::with_plan(&scene, accel.clone(), plan)
 }
 
-/// Whether the camera may see what no path from the laser finds: mirrors, and lobes that are narrow.
+/// Whether the camera may see what hardly a path from the laser finds: mirrors, and lobes that are narrow.
 fn needs_camera(scene: &Scene) -> bool {
     scene.surface.glossy().any(|glossy| {
         let mirrors = glossy
@@ -307,8 +303,7 @@ impl Square {
 /// Standard deviation of images, electrons row by row, over that of the sensor's own noise in them, in each square that
 /// shows any.
 fn noise_ratios(sensor: &Sensor, images: &[Vec<f64>]) -> Vec<f64> {
-    let read = sensor.noise.map_or(0.0, |noise| noise.read_noise_e);
-    let dark = read * read + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
+    let dark = sensor.dark_variance_e();
     let columns = sensor.resolution.x as usize;
     let across = columns.div_ceil(SIDE);
     let count = images.len() as f64;

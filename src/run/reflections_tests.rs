@@ -129,9 +129,8 @@ fn the_plan_foretells_the_noise_of_its_paths() {
         seeds: 100..100 + IMAGES,
         ..Pilots::new(&scene, &accel, &plan, reflections.most)
     };
-    let times = reflections.from_laser as f64 / PILOT as f64;
     let found = (again.frames.iter())
-        .map(|&frame| pilots.noise(frame, times, &|_| Ok(())).unwrap())
+        .map(|&frame| pilots.noise(frame, reflections, &|_| Ok(())).unwrap())
         .fold(0.0, f64::max);
     assert!(reflections.from_laser < MOST);
     println!("{reflections:?}: {foretold:.3} foretold, {found:.3} found");

@@ -87,14 +87,14 @@ pub fn scan(
     let key = key(scene, options)?;
     let frames = key.frames.clone();
     need::require_scan(scene, frames.len() as u64, !options.geometry_only)?;
-    refuse_worthless(scene, options, &frames, control)?;
+    let strict = strict_simulation(scene, options, &frames, control)?;
     if !forecast::any_report_fits(scene, frames.len() as u64) {
         forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
     }
     files::create_folder(out)?;
     let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
     clear(scene, out, kept == 0)?;
-    let simulation = simulation_of(scene, options, control)?;
+    let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let prepared = Instant::now();
 
     let run = Run {
@@ -178,8 +178,8 @@ pub fn scan_shard(
     control: &Control,
 ) -> Result<ShardSummary> {
     let key = key(scene, options)?;
-    refuse_worthless(scene, options, &key.frames, control)?;
-    let simulation = simulation_of(scene, options, control)?;
+    let strict = strict_simulation(scene, options, &key.frames, control)?;
+    let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     files::create_folder(out)?;
     files::remove(&out.join("manifest.json"))?;
     if scene.write_frames {
@@ -233,21 +233,21 @@ fn simulation_of(scene: &Scene, options: &ScanOptions, control: &Control) -> Res
     }
 }
 
-/// Refuses, if the scan is strict, one that will give nothing worth having, while what
-/// an earlier run left is still there.
-fn refuse_worthless(
+/// If the scan is strict, its simulation, unless that will give nothing worth having: this is refused while
+/// what an earlier run left is still there.
+fn strict_simulation(
     scene: &Scene,
     options: &ScanOptions,
     frames: &Range<u32>,
     control: &Control,
-) -> Result<()> {
+) -> Result<Option<Simulation>> {
     if !options.strict {
-        return Ok(());
+        return Ok(None);
     }
-    let (scene, accel) = ready::hierarchy_watched(scene, control)?;
-    let images = !options.geometry_only && scene.methods.geometry_only != Some(true);
-    let Foreseen { warnings, .. } = warnings::foreseen(&scene, &accel, frames.clone(), images);
-    warnings::refuse(&warnings, true)
+    let simulation = simulation_of(scene, options, control)?;
+    let Foreseen { warnings, .. } = warnings::foreseen_of(&simulation, frames.clone());
+    warnings::refuse(&warnings, true)?;
+    Ok(Some(simulation))
 }
 
 /// Makes the folder for frames, free of an earlier run's files if this

@@ -37,9 +37,11 @@ pub(crate) struct Foreseen {
     pub warnings: Vec<Warning>,
 }
 
-/// What will spoil a scan of these frames; empty for a good one. `images`: lines are found
-/// in images, so that their light counts.
-pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images: bool) -> Foreseen {
+/// What will spoil a scan of these frames, what its plan could not do as it should among it; empty for a good one.
+pub(crate) fn foreseen_of(simulation: &Simulation, frames: Range<u32>) -> Foreseen {
+    let Simulation {
+        scene, accel, plan, ..
+    } = simulation;
     let mut reasons = Vec::new();
     reasons.extend(no_motion(scene, &frames));
     reasons.extend(sensor_and_part(scene, accel, &frames));
@@ -57,20 +59,13 @@ pub(crate) fn foreseen(scene: &Scene, accel: &Accel, frames: Range<u32>, images:
         sensor.field_at((near + far) / 2.0)
     });
     reasons.extend(width.and_then(|width_mm| unit_doubtful(scene, accel, width_mm)));
-    reasons.extend(of_the_survey(scene, &survey, images));
+    // Where lines are found in images, their light counts.
+    reasons.extend(of_the_survey(scene, &survey, !plan.geometry_only));
+    let warnings = reasons.into_iter().map(Warning::from);
     Foreseen {
         sensor,
-        warnings: reasons.into_iter().map(Warning::from).collect(),
+        warnings: warnings.chain(of_the_plan(plan)).collect(),
     }
-}
-
-/// The same of a simulation that is ready, with what its plan could not do as it should.
-pub(crate) fn foreseen_of(simulation: &Simulation, frames: Range<u32>) -> Foreseen {
-    let Simulation { scene, plan, .. } = simulation;
-    let images = !plan.geometry_only;
-    let mut foreseen = foreseen(scene, &simulation.accel, frames, images);
-    foreseen.warnings.extend(of_the_plan(plan));
-    foreseen
 }
 
 /// What its paths leave of noise, if that is more than the sensor's own.

@@ -212,7 +212,7 @@ fn dot_sigma(sensor: &Sensor) -> f64 {
     let highest = (sensor.max_count() as f64 - sensor.black_level_dn) / sensor.gain_dn_per_e;
     let level = 0.5 * highest.min(sensor.full_well_e);
     let shot = sensor.noise.map_or(0.0, |_| level);
-    let even = sensor.dark_noise_e().powi(2) + 1.0 / (12.0 * sensor.gain_dn_per_e.powi(2));
+    let even = sensor.dark_variance_e();
     let quarter = |radius: f64| PI * radius.powi(4) / 4.0;
     let moment = shot * quarter(DOT_RADIUS_PX) + even * quarter(DOT_RADIUS_PX + RIM_PX);
     moment.sqrt() / (level * PI * DOT_RADIUS_PX.powi(2))

@@ -121,12 +121,19 @@ impl<'s> Tiers<'s> {
     /// All that this program can do; the full model first.
     pub fn all(scene: &'s Scene, accel: Accel) -> Result<Tiers<'s>> {
         let mut tiers = Tiers::none(scene, accel);
-        let base = crate::run::simulation::plan(scene, &tiers.accel);
-        let n = base.samples_per_side;
         let plan = scene_plan_with(scene, &tiers.accel, &|_| Ok(()))?;
+        let base = Plan {
+            reflections: plan.reflections,
+            ..crate::run::simulation::plan(scene, &tiers.accel)
+        };
+        let n = base.samples_per_side;
         let most = full(&base, &plan);
         let side = most.samples_per_side;
-        let name = format!("full model: every pixel, {side} × {side} rays in each");
+        let mut name = format!("full model: every pixel, {side} × {side} rays in each");
+        if let (Some(most), Some(planned)) = (most.reflections, plan.reflections) {
+            let times = most.from_laser / planned.from_laser;
+            name += &format!(", {times} × the planned paths of reflections");
+        }
         tiers.add(&name, most, Coverage::Exhaustive)?;
         let rays = Plan {
             sampling: Sampling::Rays,
@@ -137,6 +144,7 @@ impl<'s> Tiers<'s> {
         let name = format!("pixels at the line only, {n} × {n} rays in each");
         tiers.add(&name, rays, Coverage::Footprint)?;
         tiers.images(&base, plan)?;
+        tiers.reflections(&base)?;
         tiers.blurs(&base)?;
         tiers.randomness(&base)?;
         tiers.finders(&base)?;
@@ -189,6 +197,23 @@ impl<'s> Tiers<'s> {
             name => name,
         };
         self.add(&name, plan, Coverage::Footprint).map(drop)
+    }
+
+    /// Light that is reflected more than once: left out, and by fewer and more paths than the plan's.
+    fn reflections(&mut self, base: &Plan) -> Result<()> {
+        let Some(planned) = base.reflections else {
+            return Ok(());
+        };
+        let mut add = |name: &str, reflections| {
+            let plan = Plan {
+                reflections,
+                ..base.clone()
+            };
+            self.add(name, plan, Coverage::Footprint).map(drop)
+        };
+        add("direct light only", None)?;
+        add("¼ of the paths of reflections", Some(planned.times(0.25)))?;
+        add("4 × the paths of reflections", Some(planned.times(4.0)))
     }
 
     /// The lens's blur.

@@ -82,7 +82,7 @@ impl Optics {
     }
 
     /// Laser and camera of a scene.
-    pub fn tables(&self, exposure: f64, full_well: f64, noise: &str, patterns: u32) -> String {
+    pub fn tables(&self, exposure: &str, full_well: f64, noise: &str, patterns: u32) -> String {
         let (sin, cos) = self.angle.to_radians().sin_cos();
         let Optics {
             distance,
@@ -113,7 +113,7 @@ pixel_pitch_um = {pitch_um}
 position_mm = [0, {y}, {z}]
 look_at_mm = [0, 0, 0]
 columns = [1, 0, 0]
-exposure_ms = {exposure}
+{exposure}
 quantum_efficiency = 0.5
 gain_dn_per_e = 0.068
 bit_depth = 10
