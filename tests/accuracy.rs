@@ -41,7 +41,8 @@ fn assemble(
     let share = random.between(0.2, 0.7);
     let exposure = match surface {
         None => format!("exposure_ms = {}", optics.exposure(full_well * share)),
-        Some(_) => format!("exposure = \"auto\"\nexposure_share = {share}"),
+        // Little light, so that few paths have less noise than it.
+        Some(_) => format!("exposure = \"auto\"\nexposure_share = {}", 0.1 * share),
     };
     let noise = match random.choice(4) {
         // Without noise no number of paths has less.

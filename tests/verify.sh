@@ -58,6 +58,16 @@ figure=$(awk -F'[:;]' '/, (vertices|edges):/ { split($2, n, " "); rays += n[1]; 
 case $figure in '0 lost and 0 false of '[1-9]*) ;; *) met=no ;; esac
 row 'rays aimed at vertices and edges of closed meshes' "$figure" 'none' "$met" "$command"
 
+name='plans on generated scenes of metal keep their tolerance'
+command='cargo test --release --test accuracy sixty -- --ignored --nocapture'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086
+    try metal $command
+    row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
+fi
+
 if [ "$surfaces" = 0 ]; then
     skip 'decorrelation of speckle against wave optics' 'at most 5 outside their 95 % interval' 'not in the small form' 'lasertrace wave'
 else
