@@ -163,7 +163,7 @@ def main():
     print("%.1f frames for one image of Mitsuba %s (quartiles %.1f to %.1f of %d): %.2f ms and %.0f ms; "
           "%d columns lit there, %.0f points a frame here"
           % (middle, mi.__version__, low, high, ROUNDS, 1e3 * np.median(ours), 1e3 * np.median(others), lit, found))
-    sys.exit(abs(lit / found - 1) >= 0.05)
+    sys.exit(int(abs(lit / found - 1) >= 0.05))
 
 
 main()

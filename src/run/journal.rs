@@ -16,6 +16,7 @@
 use super::files;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs::{File, TryLockError};
@@ -124,7 +125,7 @@ impl Journal {
         cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;
         if end == 0 {
             let header = serde_json::to_vec(key).expect("a key is JSON");
-            journal.write_header(&header)?;
+            journal.write(&framed(&header))?;
         }
         Ok((journal, kept))
     }
@@ -139,7 +140,7 @@ impl Journal {
             synced: Instant::now(),
         };
         let header = serde_json::to_vec(header).expect("a key is JSON");
-        journal.write_header(&header)?;
+        journal.write(&framed(&header))?;
         Ok(journal)
     }
 
@@ -180,23 +181,16 @@ impl Journal {
     }
 
     /// Adds the next records.
-    pub fn append(&mut self, records: &[impl Serialize]) -> Result<()> {
-        let mut bytes = Vec::new();
-        for record in records {
-            let content = postcard::to_allocvec(record).expect("a record has a length");
-            frame(&content, &mut bytes);
+    pub fn append(&mut self, records: &[impl Serialize + Sync]) -> Result<()> {
+        let content = |record| postcard::to_allocvec(record).expect("a record has a length");
+        let records = records.par_iter().map(|record| framed(&content(record)));
+        for bytes in records.collect::<Vec<_>>() {
+            self.write(&bytes)?;
         }
-        self.write(&bytes)?;
         if self.synced.elapsed() > SYNC {
             self.sync()?;
         }
         Ok(())
-    }
-
-    fn write_header(&mut self, content: &[u8]) -> Result<()> {
-        let mut bytes = Vec::new();
-        frame(content, &mut bytes);
-        self.write(&bytes)
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
@@ -228,12 +222,11 @@ impl Journal {
     }
 }
 
-/// Adds content as it stands in the file.
-fn frame(content: &[u8], bytes: &mut Vec<u8>) {
+/// Content as it stands in the file.
+fn framed(content: &[u8]) -> Vec<u8> {
     let length = u32::try_from(content.len()).expect("a frame has no 4 GB of points");
-    bytes.extend(length.to_le_bytes());
-    bytes.extend(crc32fast::hash(content).to_le_bytes());
-    bytes.extend(content);
+    let head = [length, crc32fast::hash(content)].map(u32::to_le_bytes);
+    [head.as_flattened(), content].concat()
 }
 
 /// The records of a journal, one by one, as far as it is written.
