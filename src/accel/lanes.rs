@@ -39,6 +39,7 @@ pub(super) struct Lanes {
     origin: Lanes3,
     direction: Lanes3,
     t_max: Lane,
+    #[cfg(feature = "embree")]
     count: usize,
 }
 
@@ -49,6 +50,7 @@ impl Lanes {
             origin: Lanes3::ZERO,
             direction: Lanes3::ZERO,
             t_max: [0.0; WIDTH],
+            #[cfg(feature = "embree")]
             count: rays.len(),
         };
         for i in 0..WIDTH {
@@ -216,10 +218,10 @@ fn meet_all(
     meetings: &mut Meetings,
 ) {
     let [a, b, c] = corners;
-    for i in 0..WIDTH {
+    for (i, &t_found) in t_found.iter().enumerate() {
         let (origin, direction) = (rays.origin.get(i), rays.direction.get(i));
         let corners = [a.get(i), b.get(i), c.get(i)];
-        let met = meet(origin, direction, corners, t_found[i], along);
+        let met = meet(origin, direction, corners, t_found, along);
         meetings.on[i] = u64::from(met.on);
         meetings.t[i] = met.t;
         meetings.point.set(i, met.point);

@@ -178,7 +178,7 @@ pub fn ghosts(view: &View, region: &Region, indirect: &Indirect) -> Ghosts {
     in_tasks(reflections.from_laser, add, |paths, splats| {
         tracer.laser_paths(paths, &sequence, splats)
     });
-    tracer.from_camera(key.with(1), add);
+    tracer.follow_from_camera(key.with(1), add);
     let pixels = lit_pixels(&image, resolution, region);
     let columns = resolution.x as usize;
     let lit = || {
@@ -411,7 +411,7 @@ impl Tracer<'_> {
         in_tasks(few, &mut |splat| from_laser.push(splat), |paths, splats| {
             self.laser_paths(paths, &sequence, splats)
         });
-        self.from_camera(key.with(1), &mut |splat| from_camera.push(splat));
+        self.follow_from_camera(key.with(1), &mut |splat| from_camera.push(splat));
         // Light, and the squares of what paths from the camera carry.
         let mut found = vec![DVec2::ZERO; self.blocks.count()];
         for (splats, times, of_camera) in
@@ -442,7 +442,7 @@ impl Tracer<'_> {
         });
     }
 
-    fn from_camera(&self, key: Key, add: &mut dyn FnMut(Splat)) {
+    fn follow_from_camera(&self, key: Key, add: &mut dyn FnMut(Splat)) {
         in_tasks(self.blocks.paths(), add, |paths, splats| {
             self.camera_paths(paths, key, splats)
         });
