@@ -18,8 +18,7 @@ import time
 import mitsuba as mi
 import numpy as np
 
-mi.set_variant("llvm_ad_mono")
-mi.set_log_level(mi.LogLevel.Error)
+import mitsuba_line
 
 ROUNDS = 7
 FRAMES = 100
@@ -91,38 +90,6 @@ def stl(path, points, faces):
         file.write(b"\0" * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
 
 
-def theirs(points, faces):
-    """The scene, with a projector of as thin a line as the laser's."""
-    mesh = mi.Mesh("part", len(points), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = points.ravel()
-    parameters["faces"] = faces.ravel()
-    parameters.update()
-    mesh.write_ply("part.ply")
-    half = np.tan(np.radians(FAN_DEG / 2))
-    # Rows of a pinhole's picture whose lines are 1/e² wide in all as the waist is at the stand-off.
-    columns, line = 2048, 2 * WAIST_MM / STAND_OFF
-    rows = 2 * int(np.ceil(4 * line / (2 * half / columns)))
-    y = (np.arange(rows) + 0.5 - rows / 2) * 2 * half / columns
-    image = np.repeat(np.exp(-2 * (y / (line / 2)) ** 2)[:, None, None], columns, axis=1).astype(np.float32)
-    image_distance = FOCAL_MM * FOCUS_MM / (FOCUS_MM - FOCAL_MM)
-    view = 2 * np.degrees(np.arctan(PITCH_MM * SIZE[0] / 2 / image_distance))
-    to_world = mi.ScalarTransform4f().look_at
-    return mi.load_dict({
-        "type": "scene",
-        "part": {"type": "ply", "filename": "part.ply", "face_normals": True,
-                 "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.5}}},
-        "laser": {"type": "projector", "to_world": to_world([0, 0, STAND_OFF], [0, 0, 0], [0, 1, 0]), "fov": FAN_DEG,
-                  "fov_axis": "x", "irradiance": {"type": "bitmap", "bitmap": mi.Bitmap(image), "raw": True}},
-        "sensor": {"type": "perspective", "fov": view, "fov_axis": "x",
-                   "to_world": to_world(CAMERA, [0, 0, 0], [0, 0, 1]),
-                   "film": {"type": "hdrfilm", "width": SIZE[0], "height": SIZE[1], "pixel_format": "luminance",
-                            "rfilter": {"type": "box"}, "component_format": "float32"},
-                   "sampler": {"type": "independent", "sample_count": 4}},
-        "integrator": {"type": "direct", "hide_emitters": True},
-    })
-
-
 def main():
     program, out = os.path.abspath(sys.argv[1]), sys.argv[2]
     os.makedirs(out, exist_ok=True)
@@ -134,7 +101,10 @@ def main():
             "waist": WAIST_MM * 1e3, "stand_off": STAND_OFF, "fan": FAN_DEG, "focal": FOCAL_MM, "focus": FOCUS_MM,
             "columns": SIZE[0], "rows": SIZE[1], "pitch": PITCH_MM * 1e3, "camera": CAMERA, "half": FRAMES * 0.025,
             "frames": FRAMES})
-    scene = theirs(points, faces)
+    sensor = {"size": SIZE, "pitch": PITCH_MM, "focal": FOCAL_MM, "focus": FOCUS_MM, "position": CAMERA,
+              "target": [0, 0, 0]}
+    laser = {"waist": WAIST_MM, "stand_off": STAND_OFF, "fan": FAN_DEG}
+    scene = mitsuba_line.scene(points, faces, sensor, laser, "part.ply")
 
     def their_seconds(seed):
         start = time.perf_counter()

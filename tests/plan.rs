@@ -106,6 +106,72 @@ fn a_plan_that_sees_no_line_leaves_nothing_out() {
     assert_eq!(plan["accuracy"]["sufficient"], false);
 }
 
+/// This program's own image, as if another had rendered it, errs as the chosen plan that made it does; and what
+/// does not fit the scene is refused by its name.
+#[test]
+fn a_chart_takes_images_of_another_program() {
+    let folder = folder_with(&with("[accuracy]\nheight_um = 30\n"));
+    let chart = |frames: &str| {
+        let text = format!("{{\"name\": \"other\", \"frames\": {frames}}}");
+        fs::write(folder.path().join("beside.json"), text).unwrap();
+        let mut arguments = vec![
+            "chart",
+            "scene.toml",
+            "-o",
+            "out",
+            "--rounds",
+            "1",
+            "--json",
+        ];
+        arguments.extend(["--beside", "beside.json"]);
+        run(folder.path(), &arguments)
+    };
+    let rendered = run(
+        folder.path(),
+        &["render", "scene.toml", "--frame", "1", "-o", "images"],
+    );
+    assert_eq!(rendered.0, 0, "{}", rendered.2);
+    let image = "images/frame-000001.png";
+    let whole = chart(&format!(
+        "[{{\"frame\": 1, \"ms\": [3.0, 5.0, 4.0], \"image\": {image:?}}}]"
+    ));
+    let chart_of: Value = serde_json::from_str(&whole.1).unwrap();
+    let rows = chart_of["rows"].as_array().unwrap();
+    let chosen = rows.iter().find(|row| row["chosen"] == true).unwrap();
+    let beside = &chart_of["beside"];
+    assert_eq!(chart_of["frames"], serde_json::json!([1]));
+    assert_eq!(beside["ms"][1], 4.0);
+    assert!(chosen["error"]["points"].as_u64().unwrap() > 10);
+    for key in ["error", "scatter", "line_sigma_px", "contrast"] {
+        assert_eq!(beside[key], chosen[key], "{key}");
+    }
+    let svg = fs::read_to_string(folder.path().join("out/chart.svg")).unwrap();
+    assert!(svg.contains(">other<"));
+    for (frames, said) in [
+        ("[]", "frames []"),
+        (
+            r#"[{"frame": 1, "ms": [], "image": "images/frame-000001.png"}]"#,
+            "ms = []",
+        ),
+        (
+            r#"[{"frame": 9999, "ms": [1], "image": "images/frame-000001.png"}]"#,
+            "frames [9999]",
+        ),
+        (
+            r#"[{"frame": 1, "ms": [1], "image": "beside.json"}]"#,
+            "an image (PNG)",
+        ),
+        (
+            r#"[{"frame": 1, "ms": [1], "image": "/dev/zero"}]"#,
+            "not a regular file",
+        ),
+        (r#"[{"frame": 1}]"#, "missing field"),
+    ] {
+        let (code, text, _) = chart(frames);
+        assert!(code == 65 && text.contains(said), "{frames}: {text}");
+    }
+}
+
 /// The full model errs by nothing against itself; what is on the front no other beats;
 /// one plan is chosen; and no fragment of a file is left.
 #[test]

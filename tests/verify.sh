@@ -170,6 +170,20 @@ else
     row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
 fi
 
+name='the chart with Mitsuba 3 as a point'
+command='python3 tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
+goal='95 of 100 points of the full model are found in its images'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
+    skip "$name" "$goal" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
+else
+    try build cargo build --release
+    # shellcheck disable=SC2086
+    try chart $command
+    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+fi
+
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'
 if [ "$page" = "$out/small.md" ]; then

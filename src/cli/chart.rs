@@ -1,11 +1,12 @@
 use super::{Output, STOP, SceneArguments, show};
 use crate::run::Control;
+use crate::run::HeightErrors;
 use crate::study;
 
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::report::chart::short;
-use crate::study::{Chart, ChartEffort};
+use crate::study::{Beside, Chart, ChartEffort};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -19,6 +20,10 @@ pub struct Arguments {
     /// How often each frame is timed with each combination of methods
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..1000))]
     rounds: u32,
+    /// Frames that another program rendered, as a point of the chart: a JSON file with `name` and `frames`, each with
+    /// `frame`, `ms` (times on one core) and `image` (a PNG of the sensor's counts). These frames are taken
+    #[arg(long, value_name = "FILE", conflicts_with = "frames")]
+    beside: Option<PathBuf>,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -26,8 +31,9 @@ pub struct Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let scene = arguments.scene.load(output)?;
+    let beside = arguments.beside.as_deref().map(Beside::read).transpose()?;
     let effort = ChartEffort {
-        frames: arguments.frames,
+        frames: (beside.as_ref()).map_or(arguments.frames, |beside| beside.frames.len() as u32),
         rounds: arguments.rounds,
     };
     let building = output.share("prepared");
@@ -37,7 +43,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let chart = study::chart(&scene, effort, &arguments.output, &control);
+    let chart = study::chart(&scene, effort, beside.as_ref(), &arguments.output, &control);
     bar.finish_and_clear();
     let chart = chart?;
     output.result(&chart, &text(&chart))
@@ -54,23 +60,33 @@ fn text(chart: &Chart) -> String {
         "noise, µm",
         "lost, %"
     );
+    let mut line = |ms: [f64; 3], speed_up: f64, error: &HeightErrors, name: String| {
+        let _ = writeln!(
+            text,
+            "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {name}",
+            short(ms[1]),
+            short(speed_up),
+            error.within_um.map_or("-".into(), short),
+            short(error.bias_um),
+            short(error.noise_um),
+            short(100.0 * error.lost),
+        );
+    };
     for row in &chart.rows {
         let mark = match (row.chosen, row.on_front) {
             (true, _) => "* ",
             (_, true) => "+ ",
             _ => "  ",
         };
-        let _ = writeln!(
-            text,
-            "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {mark}{}",
-            short(row.ms[1]),
-            short(row.speed_up),
-            row.error.within_um.map_or("-".into(), short),
-            short(row.error.bias_um),
-            short(row.error.noise_um),
-            short(100.0 * row.error.lost),
-            row.name
+        line(
+            row.ms,
+            row.speed_up,
+            &row.error,
+            format!("{mark}{}", row.name),
         );
+    }
+    if let Some(row) = &chart.beside {
+        line(row.ms, row.speed_up, &row.error, format!("  {}", row.name));
     }
     let (picture, json) = (path(&chart.picture), path(&chart.json));
     text + &format!("(* chosen, + on the front)\n{picture}\n{json}\n")

@@ -30,13 +30,15 @@ pub struct Mark {
     /// Time per million samples.
     pub ms_per_million: Option<f64>,
     /// What it holds in memory, MB.
-    pub memory_mb: f64,
+    pub memory_mb: Option<f64>,
     /// No other is both faster and more accurate.
     pub on_front: bool,
     /// What the scene's runs use.
     pub chosen: bool,
     /// Its error is not a method's but a draw's.
     pub hollow: bool,
+    /// Another program's.
+    pub other: bool,
 }
 
 /// Error against speed, one mark for each way of doing the frames.
@@ -76,9 +78,23 @@ const COLUMNS: [([&str; 2], f64); 11] = [
     (["contrast", ""], 1032.0),
 ];
 
+/// Characters of a name that fit beside the figures at full size.
+const NAME: f64 = 64.0;
+
 const BLUE: &str = "#2166ac";
 const ORANGE: &str = "#d95f02";
+const GREEN: &str = "#1b7837";
 const GREY: &str = "#8a8a8a";
+
+/// Of what stands out.
+fn color(mark: &Mark) -> Option<&'static str> {
+    match mark {
+        Mark { chosen: true, .. } => Some(ORANGE),
+        Mark { other: true, .. } => Some(GREEN),
+        Mark { on_front: true, .. } => Some(BLUE),
+        _ => None,
+    }
+}
 
 /// From a little less than the least to a little more than the largest.
 fn around(values: impl Iterator<Item = f64>) -> [f64; 2] {
@@ -97,7 +113,7 @@ impl AccuracyChart {
     /// The chart and its table as one SVG.
     pub fn svg(&self) -> String {
         let table_top = TOP + HEIGHT + 92.0;
-        let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 72.0;
+        let height = table_top + ROW * (self.marks.len() as f64 + 1.0) + 88.0;
         let mut svg = Svg::file([LEFT + WIDTH + 30.0, height], 13.0);
         svg.text(
             [24.0, 32.0],
@@ -166,11 +182,7 @@ impl AccuracyChart {
     fn points(&self, svg: &mut Svg, axes: &Axes, places: &[[f64; 2]]) {
         let mut taken = Vec::new();
         for (i, (mark, &place)) in self.marks.iter().zip(places).enumerate() {
-            let color = match (mark.chosen, mark.on_front) {
-                (true, _) => ORANGE,
-                (_, true) => BLUE,
-                _ => GREY,
-            };
+            let color = color(mark).unwrap_or(GREY);
             let [slow, fast] = [mark.ms[2], mark.ms[0]].map(|ms| axes.at(1e3 / ms, 1.0)[0]);
             let stroke = format!("stroke='{color}'");
             svg.line([slow, place[1]], [fast, place[1]], &stroke);
@@ -198,20 +210,23 @@ impl AccuracyChart {
         }
         for (i, mark) in self.marks.iter().enumerate() {
             let y = top + ROW * (i as f64 + 1.0);
-            let color = match (mark.chosen, mark.on_front) {
-                (true, _) => format!("fill='{ORANGE}' font-weight='bold'"),
-                (_, true) => format!("fill='{BLUE}'"),
-                _ => "fill='#444'".into(),
+            let bold = if mark.chosen {
+                " font-weight='bold'"
+            } else {
+                ""
             };
+            let color = format!("fill='{}'{bold}", color(mark).unwrap_or("#444"));
             let style = format!("{END} {color}");
             svg.text([42.0, y], &style, &(i + 1).to_string());
-            svg.text([52.0, y], &format!("{color} font-size='12'"), &mark.name);
+            let size = 12.0 * (NAME / mark.name.chars().count() as f64).min(1.0);
+            let sized = format!("{color} font-size='{size:.1}'");
+            svg.text([52.0, y], &sized, &mark.name);
             let or = |value: Option<f64>, none: &str| value.map_or(none.to_owned(), short);
             let cells = [
                 short(mark.ms[1]),
                 short(mark.speed_up),
                 or(mark.ms_per_million, "–"),
-                short(mark.memory_mb),
+                or(mark.memory_mb, "–"),
                 or(mark.within_um, "lost"),
                 short(mark.bias_um),
                 short(mark.noise_um),
@@ -226,8 +241,9 @@ impl AccuracyChart {
         }
         let y = top + ROW * (self.marks.len() as f64 + 1.0) + 8.0;
         let notes = [
-            "Orange: chosen. Blue: none is both faster and more accurate. Hollow: speckle with \
-             other grains; its error is how far two draws differ, its scatter how well it does.",
+            "Orange: chosen. Blue: none is both faster and more accurate. Green: another program.",
+            "Hollow: speckle with other grains; its error is how far two draws differ, its scatter \
+             how well it does.",
             "99 of 100, bias, noise, lost: heights against 1, point by point. Scatter: against \
              geometry, what the sensor itself would show.",
             "ms per million: samples, each a ray but on planes. MB: hierarchy, speckle, one \

@@ -1,8 +1,9 @@
 //! Output files appear whole or not at all.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, InputError, Place, Result};
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
 use rustix::fs::OFlags;
+use serde::de::DeserializeOwned;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -10,6 +11,27 @@ use std::path::{Path, PathBuf};
 
 pub fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(Error::io("create folder", path))
+}
+
+/// The bytes of a file that ends: a pipe or a device is refused.
+pub fn read_regular(path: &Path, expected: &str) -> Result<Vec<u8>> {
+    let kind = fs::metadata(path).map_err(Error::io("read", path))?;
+    if !kind.is_file() {
+        let found = "something that is not a regular file";
+        return Err(InputError::new(path, Place::File, found, expected).into());
+    }
+    fs::read(path).map_err(Error::io("read", path))
+}
+
+/// What the JSON text of a file says; an error names the line.
+pub fn parse_json<T: DeserializeOwned>(path: &Path, text: &[u8], expected: &str) -> Result<T> {
+    serde_json::from_slice(text).map_err(|error| {
+        let place = match error.line() {
+            0 => Place::File,
+            line => Place::Line(line),
+        };
+        InputError::new(path, place, error.to_string(), expected).into()
+    })
 }
 
 /// A folder in one of ours: a symbolic link in its place is refused, for what is written

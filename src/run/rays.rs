@@ -63,14 +63,8 @@ pub fn cast_rays(
     let count = size / SHORTEST;
     need::require_rays(count, RAY)?;
     let bytes = std::fs::read(rays).map_err(Error::io("read", rays))?;
-    let file: RaysFile = serde_json::from_slice(&bytes).map_err(|error| {
-        let place = match error.line() {
-            0 => Place::File,
-            line => Place::Line(line),
-        };
-        let expected = "{\"rays\": [[x, y, z, dx, dy, dz], …]}, numbers in mm";
-        InputError::new(rays, place, error.to_string(), expected)
-    })?;
+    let expected = "{\"rays\": [[x, y, z, dx, dy, dz], …]}, numbers in mm";
+    let file: RaysFile = files::parse_json(rays, &bytes, expected)?;
     drop(bytes);
     let mesh: Mesh = crate::mesh::load(mesh, unit_mm)?;
     control.check()?;

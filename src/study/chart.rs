@@ -1,11 +1,11 @@
 //! Accuracy against speed: every way of doing a frame, on the scene's own frames.
 
+use super::beside::Beside;
 use super::tiers::{Tier, TierFrame, Tiers};
 use crate::error::{Error, Result};
-use crate::math::DVec2;
 use crate::plan::rules::Plan;
 use crate::plan::words::in_words;
-use crate::profile::{Peak, PeakFinder};
+use crate::profile::{Calibration, Peak, PeakFinder};
 use crate::report::accuracy_chart::{AccuracyChart, Mark};
 use crate::report::chart::short;
 use crate::run::height_errors::{HeightErrors, at_share};
@@ -44,6 +44,8 @@ pub struct Chart {
     pub speckle_limit_um: Option<f64>,
     /// The first is the full model, the others' truth.
     pub rows: Vec<ChartRow>,
+    /// Another program's images of the same frames.
+    pub beside: Option<BesideRow>,
     /// Where the chart was written.
     pub picture: PathBuf,
     /// Where this was written.
@@ -96,8 +98,27 @@ pub struct ChartRow {
     pub chosen: bool,
 }
 
-/// Rounds of what takes seconds a frame.
-const SLOW_ROUNDS: u32 = 1;
+/// What another program does, measured as a row is.
+#[derive(Debug, Serialize)]
+pub struct BesideRow {
+    /// What the chart calls it.
+    pub name: String,
+    /// Lower quartile, median and upper quartile over frames and rounds, ms.
+    pub ms: [f64; 3],
+    /// Times as fast as the full model.
+    pub speed_up: f64,
+    /// The lines in its images against the full model's.
+    pub error: HeightErrors,
+    /// Against geometry in f64; `None` for a point laser.
+    pub scatter: Option<HeightErrors>,
+    /// Median standard deviation of the lines, px.
+    pub line_sigma_px: Option<f64>,
+    /// Contrast of the columns' light along the lines.
+    pub contrast: Option<f64>,
+}
+
+/// A frame that takes longer is done in the first round only, ms.
+const SLOW_MS: f64 = 500.0;
 
 /// Steps that [`chart`] tells of.
 pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
@@ -105,12 +126,23 @@ pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
 }
 
 /// Times all tiers on some of the scene's frames and measures their errors; writes
-/// `chart.svg` and `chart.json` to `out`.
-pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) -> Result<Chart> {
+/// `chart.svg` and `chart.json` to `out`. With frames of another program, those are the frames taken, whatever
+/// `effort` says. Errors: these do not fit the scene; no line in any frame; files.
+pub fn chart(
+    scene: &Scene,
+    effort: ChartEffort,
+    beside: Option<&Beside>,
+    out: &Path,
+    control: &Control,
+) -> Result<Chart> {
+    beside.map_or(Ok(()), |beside| beside.check(scene))?;
     files::create_folder(out)?;
     let (scene, accel) = ready::hierarchy_watched(scene, control)?;
     let tiers = Tiers::all(&scene, accel)?;
-    let frames = spread_frames(scene.scan.frames, effort.frames);
+    let frames = match beside {
+        Some(beside) => beside.frames.iter().map(|frame| frame.frame).collect(),
+        None => spread_frames(scene.scan.frames, effort.frames),
+    };
     let one_core = rayon::ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -122,7 +154,8 @@ pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) 
             "chart on {path}: frames {frames:?} hold no line to measure"
         )));
     }
-    let mut rows = rows(&tiers, &runs);
+    let measured = Measured::new(&tiers, &runs);
+    let mut rows = rows(&tiers, &measured);
     mark_front(&mut rows);
     let accuracy = rows.iter().find_map(|row| row.plan.accuracy.as_ref());
     let chart = Chart {
@@ -132,6 +165,7 @@ pub fn chart(scene: &Scene, effort: ChartEffort, out: &Path, control: &Control) 
         speckle_limit_um: accuracy.and_then(|a| a.speckle_limit_um),
         frames,
         rows,
+        beside: beside.map(|beside| beside_row(beside, &tiers, &measured)),
         picture: out.join("chart.svg"),
         json: out.join("chart.json"),
     };
@@ -157,7 +191,7 @@ fn runs(tiers: &[Tier], frames: &[u32], rounds: u32, control: &Control) -> Resul
         for &frame in frames {
             for (tier, run) in tiers.iter().zip(&mut runs) {
                 control.check()?;
-                if tier.coverage == crate::run::Coverage::Footprint || round < SLOW_ROUNDS {
+                if round == 0 || run.ms.iter().all(|&ms| ms < SLOW_MS) {
                     let start = Instant::now();
                     let TierFrame { peaks, pixels } = tier.frame(frame);
                     run.ms.push(start.elapsed().as_secs_f64() * 1e3);
@@ -201,27 +235,81 @@ fn contrast(frames: &[Vec<Peak>]) -> Option<f64> {
     (pairs >= 10.0 && sum > 0.0).then(|| f64::sqrt(square / pairs) / (sum / pairs))
 }
 
-fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
-    let full = &tiers.list[0].simulation;
-    let calibration = &full.calibration;
-    let scene = &full.scene;
-    let middle = scene.camera.sensor.resolution.as_dvec2() / 2.0;
-    let up = -scene.head_from_laser.rotation.z_axis;
-    let sign = |pixel: DVec2| {
-        let jacobian = calibration.point_jacobian(pixel)?;
-        Some(jacobian.by_pixel[1].dot(up).signum())
-    };
-    let sign = sign(middle).unwrap_or(1.0);
-    let against = |run: &Run, truth: &Run| {
-        let pairs = run.peaks.iter().cloned().zip(truth.peaks.iter().cloned());
-        HeightErrors::of(&pairs.collect::<Vec<_>>(), calibration, sign)
-    };
-    let is_geometry = |tier: &Tier| tier.simulation.plan.geometry_only;
-    let geometry = tiers.list.iter().position(is_geometry).map(|i| &runs[i]);
-    let slowest = quartiles(&runs[0].ms)[1];
+/// What heights are held against.
+struct Measured<'a> {
+    /// The full model first.
+    runs: &'a [Run],
+    calibration: &'a Calibration,
+    /// Of a height for a row.
+    sign: f64,
+    geometry: Option<&'a Run>,
+}
+
+impl<'a> Measured<'a> {
+    fn new(tiers: &'a Tiers, runs: &'a [Run]) -> Measured<'a> {
+        let full = &tiers.list[0].simulation;
+        let scene = &full.scene;
+        let middle = scene.camera.sensor.resolution.as_dvec2() / 2.0;
+        let up = -scene.head_from_laser.rotation.z_axis;
+        let jacobian = full.calibration.point_jacobian(middle);
+        let sign = jacobian.map(|jacobian| jacobian.by_pixel[1].dot(up).signum());
+        let is_geometry = |tier: &Tier| tier.simulation.plan.geometry_only;
+        let geometry = tiers.list.iter().position(is_geometry);
+        Measured {
+            runs,
+            calibration: &full.calibration,
+            sign: sign.unwrap_or(1.0),
+            geometry: geometry.map(|i| &runs[i]),
+        }
+    }
+
+    fn against(&self, peaks: &[Vec<Peak>], truth: &Run) -> HeightErrors {
+        let pairs = peaks.iter().cloned().zip(truth.peaks.iter().cloned());
+        HeightErrors::of(&pairs.collect::<Vec<_>>(), self.calibration, self.sign)
+    }
+
+    fn error(&self, peaks: &[Vec<Peak>]) -> HeightErrors {
+        self.against(peaks, &self.runs[0])
+    }
+
+    fn scatter(&self, peaks: &[Vec<Peak>]) -> Option<HeightErrors> {
+        self.geometry.map(|truth| self.against(peaks, truth))
+    }
+
+    /// Times as fast as the full model.
+    fn speed_up(&self, ms: [f64; 3]) -> f64 {
+        quartiles(&self.runs[0].ms)[1] / ms[1]
+    }
+}
+
+fn line_sigma(peaks: &[Vec<Peak>]) -> Option<f64> {
+    let sigmas: Vec<f64> = peaks.iter().flatten().map(|p| p.sigma).collect();
+    (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1])
+}
+
+/// The scene's finder on another program's images.
+fn beside_row(beside: &Beside, tiers: &Tiers, measured: &Measured) -> BesideRow {
+    let simulation = &tiers.list[tiers.chosen].simulation;
+    let frames = beside.frames.iter();
+    let peaks: Vec<_> = frames
+        .map(|frame| simulation.peaks(&frame.image.counts).0)
+        .collect();
+    let times = beside.frames.iter().flat_map(|frame| &frame.ms);
+    let ms = quartiles(&times.copied().collect::<Vec<_>>());
+    BesideRow {
+        name: beside.name.clone(),
+        ms,
+        speed_up: measured.speed_up(ms),
+        error: measured.error(&peaks),
+        scatter: measured.scatter(&peaks),
+        line_sigma_px: line_sigma(&peaks),
+        contrast: contrast(&peaks),
+    }
+}
+
+fn rows(tiers: &Tiers, measured: &Measured) -> Vec<ChartRow> {
     let row = |(i, (tier, run)): (usize, (&Tier, &Run))| {
         let ms = quartiles(&run.ms);
-        let sigmas: Vec<f64> = run.peaks.iter().flatten().map(|p| p.sigma).collect();
         let plan = tier.simulation.plan.clone();
         let pixels = run.pixels as f64 / run.peaks.len() as f64;
         let samples = pixels * (plan.samples_per_side as f64).powi(2);
@@ -234,13 +322,13 @@ fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
             ms,
             predicted_ms: plan.accuracy.as_ref().map(|a| a.cost_ms),
             frames_per_s: 1e3 / ms[1],
-            speed_up: slowest / ms[1],
+            speed_up: measured.speed_up(ms),
             samples,
             ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms[1] / n * 1e6),
             memory_mb: tier.memory(pixels as usize) as f64 / 1e6,
-            error: against(run, &runs[0]),
-            scatter: geometry.map(|truth| against(run, truth)),
-            line_sigma_px: (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1]),
+            error: measured.error(&run.peaks),
+            scatter: measured.scatter(&run.peaks),
+            line_sigma_px: line_sigma(&run.peaks),
             contrast: contrast(&run.peaks).filter(|_| !plan.geometry_only),
             other_grains: tier.other_grains,
             on_front: false,
@@ -248,7 +336,7 @@ fn rows(tiers: &Tiers, runs: &[Run]) -> Vec<ChartRow> {
             plan,
         }
     };
-    let pairs = tiers.list.iter().zip(runs);
+    let pairs = tiers.list.iter().zip(measured.runs);
     pairs.enumerate().map(row).collect()
 }
 
@@ -295,11 +383,30 @@ impl Chart {
             sigma_px: row.line_sigma_px,
             contrast: row.contrast,
             ms_per_million: row.ms_per_million_samples,
-            memory_mb: row.memory_mb,
+            memory_mb: Some(row.memory_mb),
             on_front: row.on_front,
             chosen: row.chosen,
             hollow: row.other_grains,
+            other: false,
         };
+        let beside = self.beside.as_ref().map(|row| Mark {
+            name: row.name.clone(),
+            ms: row.ms,
+            speed_up: row.speed_up,
+            within_um: row.error.within_um,
+            bias_um: row.error.bias_um,
+            noise_um: row.error.noise_um,
+            lost: row.error.lost,
+            scatter_um: row.scatter.as_ref().map(|s| s.noise_um),
+            sigma_px: row.line_sigma_px,
+            contrast: row.contrast,
+            ms_per_million: None,
+            memory_mb: None,
+            on_front: false,
+            chosen: false,
+            hollow: false,
+            other: true,
+        });
         let frames: Vec<String> = self.frames.iter().map(u32::to_string).collect();
         let mut lead = vec![format!(
             "{}: frames {}, one core, medians and quartiles of {} rounds in turn.",
@@ -317,7 +424,7 @@ impl Chart {
             lead,
             tolerance_um: self.tolerance_um,
             limit_um: self.speckle_limit_um,
-            marks: self.rows.iter().map(mark).collect(),
+            marks: self.rows.iter().map(mark).chain(beside).collect(),
         }
     }
 }

@@ -4,6 +4,7 @@
 mod accept;
 #[cfg(feature = "race")]
 mod bench_bvh;
+mod beside;
 mod calibrate;
 mod chart;
 mod emva;
@@ -24,8 +25,9 @@ pub use accept::{
 };
 #[cfg(feature = "race")]
 pub use bench_bvh::{BvhBench, bench_bvh};
+pub use beside::{Beside, BesideFrame};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
-pub use chart::{Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use chart::{BesideRow, Chart, ChartEffort, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use kept::{Kept, keeps_word};
 pub use peak_image::{

@@ -61,19 +61,17 @@ pub struct FoundLine {
     pub median_sigma_px: f64,
 }
 
+const IMAGE: &str = "an image (PNG)";
+
 /// Reads a PNG of 8 or 16 bits; of colours, their luminance. Errors: no regular
 /// file, no such PNG.
 pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
-    let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-    if !kind.is_file() {
-        return Err(wrong(path, "something that is not a regular file".into()));
-    }
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let bytes = files::read_regular(path, IMAGE)?;
     parse_image(path, &bytes, line_along)
 }
 
 fn wrong(path: &Path, found: String) -> Error {
-    InputError::new(path, Place::File, found, "an image (PNG)").into()
+    InputError::new(path, Place::File, found, IMAGE).into()
 }
 
 /// `read_image` for bytes already in memory; `path` only names them in errors.

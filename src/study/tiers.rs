@@ -132,7 +132,7 @@ impl<'s> Tiers<'s> {
         let mut name = format!("full model: every pixel, {side} × {side} rays in each");
         if let (Some(most), Some(planned)) = (most.reflections, plan.reflections) {
             let times = most.from_laser / planned.from_laser;
-            name += &format!(", {times} × the planned paths of reflections");
+            name += &format!(", {times} × paths");
         }
         tiers.add(&name, most, Coverage::Exhaustive)?;
         let rays = Plan {

@@ -1,0 +1,95 @@
+//! Frames that another program rendered, to stand beside this program's ways in the chart.
+
+use super::peak_image::{GreyImage, LineAlong, read_image};
+use crate::error::{InputError, Place, Result};
+use crate::run::files;
+use crate::scene::Scene;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// Another program's images of frames of a scene, in the sensor's counts, and the time that each took.
+#[derive(Debug)]
+pub struct Beside {
+    /// What the chart calls it.
+    pub name: String,
+    /// In the order of the scan.
+    pub frames: Vec<BesideFrame>,
+    path: PathBuf,
+}
+
+/// One frame of it.
+#[derive(Debug)]
+pub struct BesideFrame {
+    /// Its number in the scan.
+    pub frame: u32,
+    /// Times that it took on one core, ms.
+    pub ms: Vec<f64>,
+    /// The image.
+    pub image: GreyImage,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: String,
+    frames: Vec<FileFrame>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileFrame {
+    frame: u32,
+    ms: Vec<f64>,
+    /// Relative to the file that names it.
+    image: PathBuf,
+}
+
+impl Beside {
+    /// Reads `{"name": "…", "frames": [{"frame": 3, "ms": [20.1, 20.3], "image": "3.png"}, …]}`: frames in rising order,
+    /// each with a PNG of the sensor's counts.
+    pub fn read(path: &Path) -> Result<Beside> {
+        let expected = "{\"name\": …, \"frames\": [{\"frame\": …, \"ms\": […], \"image\": …}, …]}";
+        let file: File = files::parse_json(path, &files::read_regular(path, expected)?, expected)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let frame = |frame: FileFrame| {
+            let image = read_image(&folder.join(&frame.image), LineAlong::Columns)?;
+            Ok(BesideFrame {
+                frame: frame.frame,
+                ms: frame.ms,
+                image,
+            })
+        };
+        Ok(Beside {
+            frames: file.frames.into_iter().map(frame).collect::<Result<_>>()?,
+            name: file.name,
+            path: path.to_owned(),
+        })
+    }
+
+    /// That these may be images of the scene's frames.
+    pub(super) fn check(&self, scene: &Scene) -> Result<()> {
+        let wrong = |found: String, expected: String| {
+            Err(InputError::new(&self.path, Place::File, found, expected).into())
+        };
+        let numbers: Vec<u32> = self.frames.iter().map(|frame| frame.frame).collect();
+        let frames = scene.scan.frames;
+        let rise = numbers.is_sorted_by(|a, b| a < b);
+        if numbers.last().is_none_or(|&last| last >= frames) || !rise {
+            let expected = format!("some frames from 0 to {}, in rising order", frames - 1);
+            return wrong(format!("frames {numbers:?}"), expected);
+        }
+        for BesideFrame { frame, ms, image } in &self.frames {
+            if ms.is_empty() || !ms.iter().all(|&ms| ms > 0.0 && ms.is_finite()) {
+                let found = format!("ms = {ms:?} of frame {frame}");
+                return wrong(found, "times above 0 ms, at least one".into());
+            }
+            let size = [image.counts.columns(), image.counts.rows()].map(|n| n as u32);
+            let sensor = scene.camera.sensor.resolution.to_array();
+            if size != sensor {
+                let found = format!("an image of {size:?} pixels of frame {frame}");
+                return wrong(found, format!("{sensor:?}, as the scene's sensor has"));
+            }
+        }
+        Ok(())
+    }
+}
