@@ -110,21 +110,12 @@ fn a_plan_that_sees_no_line_leaves_nothing_out() {
 /// does not fit the scene is refused by its name.
 #[test]
 fn a_chart_takes_images_of_another_program() {
-    let folder = folder_with(&with("[accuracy]\nheight_um = 30\n"));
+    let folder = folder_with(&with(""));
     let chart = |frames: &str| {
         let text = format!("{{\"name\": \"other\", \"frames\": {frames}}}");
         fs::write(folder.path().join("beside.json"), text).unwrap();
-        let mut arguments = vec![
-            "chart",
-            "scene.toml",
-            "-o",
-            "out",
-            "--rounds",
-            "1",
-            "--json",
-        ];
-        arguments.extend(["--beside", "beside.json"]);
-        run(folder.path(), &arguments)
+        let command = "chart scene.toml -o out --rounds 1 --json --beside beside.json";
+        run(folder.path(), &command.split(' ').collect::<Vec<_>>())
     };
     let rendered = run(
         folder.path(),

@@ -289,7 +289,7 @@ fn line_sigma(peaks: &[Vec<Peak>]) -> Option<f64> {
 
 /// The scene's finder on another program's images.
 fn beside_row(beside: &Beside, tiers: &Tiers, measured: &Measured) -> BesideRow {
-    let simulation = &tiers.list[tiers.chosen].simulation;
+    let simulation = &tiers.list[0].simulation;
     let frames = beside.frames.iter();
     let peaks: Vec<_> = frames
         .map(|frame| simulation.peaks(&frame.image.counts).0)
@@ -356,6 +356,35 @@ fn mark_front(rows: &mut [ChartRow]) {
     }
 }
 
+/// Of another program, of which no more is known than its times and what its lines are.
+fn mark(
+    name: &str,
+    ms: [f64; 3],
+    speed_up: f64,
+    error: &HeightErrors,
+    scatter: Option<&HeightErrors>,
+    [sigma_px, contrast]: [Option<f64>; 2],
+) -> Mark {
+    Mark {
+        name: name.to_owned(),
+        ms,
+        speed_up,
+        within_um: error.within_um,
+        bias_um: error.bias_um,
+        noise_um: error.noise_um,
+        lost: error.lost,
+        scatter_um: scatter.map(|scatter| scatter.noise_um),
+        sigma_px,
+        contrast,
+        ms_per_million: None,
+        memory_mb: None,
+        on_front: false,
+        chosen: false,
+        hollow: false,
+        other: true,
+    }
+}
+
 impl Chart {
     /// What the chart says in words.
     pub fn headline(&self) -> String {
@@ -371,41 +400,31 @@ impl Chart {
     }
 
     fn drawing(&self) -> AccuracyChart {
-        let mark = |row: &ChartRow| Mark {
-            name: row.name.clone(),
-            ms: row.ms,
-            speed_up: row.speed_up,
-            within_um: row.error.within_um,
-            bias_um: row.error.bias_um,
-            noise_um: row.error.noise_um,
-            lost: row.error.lost,
-            scatter_um: row.scatter.as_ref().map(|s| s.noise_um),
-            sigma_px: row.line_sigma_px,
-            contrast: row.contrast,
+        let own = |row: &ChartRow| Mark {
             ms_per_million: row.ms_per_million_samples,
             memory_mb: Some(row.memory_mb),
             on_front: row.on_front,
             chosen: row.chosen,
             hollow: row.other_grains,
             other: false,
+            ..mark(
+                &row.name,
+                row.ms,
+                row.speed_up,
+                &row.error,
+                row.scatter.as_ref(),
+                [row.line_sigma_px, row.contrast],
+            )
         };
-        let beside = self.beside.as_ref().map(|row| Mark {
-            name: row.name.clone(),
-            ms: row.ms,
-            speed_up: row.speed_up,
-            within_um: row.error.within_um,
-            bias_um: row.error.bias_um,
-            noise_um: row.error.noise_um,
-            lost: row.error.lost,
-            scatter_um: row.scatter.as_ref().map(|s| s.noise_um),
-            sigma_px: row.line_sigma_px,
-            contrast: row.contrast,
-            ms_per_million: None,
-            memory_mb: None,
-            on_front: false,
-            chosen: false,
-            hollow: false,
-            other: true,
+        let beside = self.beside.as_ref().map(|row| {
+            mark(
+                &row.name,
+                row.ms,
+                row.speed_up,
+                &row.error,
+                row.scatter.as_ref(),
+                [row.line_sigma_px, row.contrast],
+            )
         });
         let frames: Vec<String> = self.frames.iter().map(u32::to_string).collect();
         let mut lead = vec![format!(
@@ -424,7 +443,7 @@ impl Chart {
             lead,
             tolerance_um: self.tolerance_um,
             limit_um: self.speckle_limit_um,
-            marks: self.rows.iter().map(mark).chain(beside).collect(),
+            marks: self.rows.iter().map(own).chain(beside).collect(),
         }
     }
 }
