@@ -227,9 +227,9 @@ fn a_hundred_plans_keep_their_word() {
     summary(&table(98..140));
 }
 
-fn metal_table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
-    eprintln!("{HEAD}");
-    numbers
+fn metal_table(numbers: impl IntoIterator<Item = u64>) -> Vec<Kept> {
+    eprintln!("{HEAD} beyond of four times the paths, % | noise of paths |");
+    (numbers.into_iter())
         .map(|number| {
             let folder = TempDir::new().unwrap();
             let text = metal::scene_text(number, folder.path());
@@ -246,6 +246,12 @@ fn metal_table(numbers: std::ops::Range<u64>) -> Vec<Kept> {
             kept
         })
         .collect()
+}
+
+/// A block and a sphere: of 4096 paths and of none.
+#[test]
+fn plans_of_metal_with_few_paths_keep_their_word() {
+    summary(&metal_table([11, 17]));
 }
 
 #[test]
