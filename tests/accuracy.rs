@@ -248,7 +248,7 @@ fn metal_table(numbers: impl IntoIterator<Item = u64>) -> Vec<Kept> {
         .collect()
 }
 
-/// A block and a sphere: of 4096 paths and of none.
+/// Two of the sixty that take seconds, a block with 4096 paths and a sphere without any.
 #[test]
 fn plans_of_metal_with_few_paths_keep_their_word() {
     summary(&metal_table([11, 17]));

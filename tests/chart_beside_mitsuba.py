@@ -15,7 +15,6 @@ import subprocess
 import sys
 import time
 import tomllib
-import zlib
 
 import drjit as dr
 import mitsuba as mi
@@ -34,14 +33,6 @@ def triangles_of(path):
     rows = np.frombuffer(data[84:84 + 50 * count], dtype=np.dtype([("n", "<3f4"), ("v", "<9f4"), ("a", "<u2")]))
     points = np.ascontiguousarray(rows["v"].reshape(-1, 3))
     return points, np.arange(len(points), dtype="<u4").reshape(-1, 3)
-
-
-def png(path, counts):
-    rows = b"".join(b"\0" + row.tobytes() for row in counts.astype(">u2"))
-    chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    header = struct.pack(">IIBBBBB", counts.shape[1], counts.shape[0], 16, 0, 0, 0, 0)
-    with open(path, "wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
 
 
 def main():
@@ -75,7 +66,7 @@ def main():
         ours = np.array(mi.Bitmap(inside(f"ours/frame-{number:06}.png"))).astype(float) - black
         light = light.reshape(sensor["size"][1], sensor["size"][0])
         counts = np.clip(np.rint(black + light * ours.sum() / light.sum()), 0, full)
-        png(inside(f"theirs{number}.png"), counts)
+        mi.Bitmap(counts.astype(np.uint16)[:, :, None]).write(inside(f"theirs{number}.png"))
         frames.append({"frame": number, "ms": ms[2:], "image": f"theirs{number}.png"})
     name = f"Mitsuba {mi.__version__}: direct light, 4 samples a pixel"
     with open(inside("beside.json"), "w") as file:

@@ -156,33 +156,25 @@ else
     row "$name" "$(grep -c ': yes$' "$log") of $(grep -c ' over light reflected once' "$log") scenes" "$goal" "$met" "$command"
 fi
 
-name='frames while Mitsuba 3 renders the direct light of one'
-command='python3 tests/frames_against_mitsuba.py target/release/lasertrace out/verify/speed'
-goal='the same line is seen; 100 are aimed at'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
-    skip "$name" "$goal" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
-else
-    try build cargo build --release
-    # shellcheck disable=SC2086
-    try speed $command
-    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
-fi
+# A script that takes Mitsuba's LLVM form and prints its figure last: check, goal, name of the log, arguments
+with_mitsuba() {
+    command="python3 $4"
+    if [ "$page" = "$out/small.md" ]; then
+        skip "$1" "$2" 'not in the small form' "$command"
+    elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
+        skip "$1" "$2" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
+    else
+        try build cargo build --release
+        # shellcheck disable=SC2086
+        try "$3" $command
+        row "$1" "$(tail -n 1 "$log")" "$2" "$met" "$command"
+    fi
+}
 
-name='the chart with Mitsuba 3 as a point'
-command='python3 tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
-goal='95 of 100 points of the full model are found in its images'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
-    skip "$name" "$goal" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
-else
-    try build cargo build --release
-    # shellcheck disable=SC2086
-    try chart $command
-    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
-fi
+with_mitsuba 'frames while Mitsuba 3 renders the direct light of one' 'the same line is seen; 100 are aimed at' \
+    speed 'tests/frames_against_mitsuba.py target/release/lasertrace out/verify/speed'
+with_mitsuba 'the chart with Mitsuba 3 as a point' '95 of 100 points of the full model are found in its images' \
+    chart 'tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
 
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'

@@ -1,12 +1,11 @@
 use super::{Output, STOP, SceneArguments, show};
 use crate::run::Control;
-use crate::run::HeightErrors;
 use crate::study;
 
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::report::chart::short;
-use crate::study::{Beside, Chart, ChartEffort};
+use crate::study::{Beside, Chart, ChartEffort, ChartFigures};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -60,16 +59,17 @@ fn text(chart: &Chart) -> String {
         "noise, µm",
         "lost, %"
     );
-    let mut line = |ms: [f64; 3], speed_up: f64, error: &HeightErrors, name: String| {
+    let mut line = |mark: &str, figures: &ChartFigures| {
         let _ = writeln!(
             text,
-            "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {name}",
-            short(ms[1]),
-            short(speed_up),
-            error.within_um.map_or("-".into(), short),
-            short(error.bias_um),
-            short(error.noise_um),
-            short(100.0 * error.lost),
+            "{:>10} {:>9} {:>11} {:>9} {:>9} {:>7}  {mark}{}",
+            short(figures.ms[1]),
+            short(figures.speed_up),
+            figures.error.within_um.map_or("-".into(), short),
+            short(figures.error.bias_um),
+            short(figures.error.noise_um),
+            short(100.0 * figures.error.lost),
+            figures.name
         );
     };
     for row in &chart.rows {
@@ -78,15 +78,10 @@ fn text(chart: &Chart) -> String {
             (_, true) => "+ ",
             _ => "  ",
         };
-        line(
-            row.ms,
-            row.speed_up,
-            &row.error,
-            format!("{mark}{}", row.name),
-        );
+        line(mark, &row.figures);
     }
-    if let Some(row) = &chart.beside {
-        line(row.ms, row.speed_up, &row.error, format!("  {}", row.name));
+    if let Some(figures) = &chart.beside {
+        line("  ", figures);
     }
     let (picture, json) = (path(&chart.picture), path(&chart.json));
     text + &format!("(* chosen, + on the front)\n{picture}\n{json}\n")

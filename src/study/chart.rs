@@ -45,41 +45,22 @@ pub struct Chart {
     /// The first is the full model, the others' truth.
     pub rows: Vec<ChartRow>,
     /// Another program's images of the same frames.
-    pub beside: Option<BesideRow>,
+    pub beside: Option<ChartFigures>,
     /// Where the chart was written.
     pub picture: PathBuf,
     /// Where this was written.
     pub json: PathBuf,
 }
 
-/// One way of doing the frames.
+/// What is measured of a program's frames, this one's or another's.
 #[derive(Debug, Serialize)]
-pub struct ChartRow {
+pub struct ChartFigures {
     /// What the chart calls it.
     pub name: String,
-    /// Which effects are modelled, and how.
-    pub plan: Plan,
-    /// How the line's row is found.
-    pub finder: PeakFinder,
-    /// Which pixels are traced.
-    pub coverage: crate::run::Coverage,
-    /// What finds the triangles rays meet.
-    pub intersection: String,
     /// Lower quartile, median and upper quartile over frames and rounds, ms.
     pub ms: [f64; 3],
-    /// Predicted by the plan for the scene's tolerance, ms.
-    pub predicted_ms: Option<f64>,
-    /// Frames per second at the median time.
-    pub frames_per_s: f64,
     /// Times as fast as the full model.
     pub speed_up: f64,
-    /// Samples of pixels in a frame: each a ray, but on planes. `None` without images.
-    pub samples: Option<f64>,
-    /// Of all that a frame takes, ms.
-    pub ms_per_million_samples: Option<f64>,
-    /// Hierarchy while it is built (on top of the mesh), patterns of speckle, and a frame's
-    /// light and counts, MB: by arithmetic.
-    pub memory_mb: f64,
     /// Against the full model.
     pub error: HeightErrors,
     /// Against geometry in f64: what it measures, rather than how well it simulates;
@@ -90,31 +71,39 @@ pub struct ChartRow {
     /// Contrast of the columns' light along the lines; `None` where too few are side by
     /// side, and without images.
     pub contrast: Option<f64>,
+}
+
+/// One way of doing the frames.
+#[derive(Debug, Serialize)]
+pub struct ChartRow {
+    /// Its times and errors.
+    #[serde(flatten)]
+    pub figures: ChartFigures,
+    /// Which effects are modelled, and how.
+    pub plan: Plan,
+    /// How the line's row is found.
+    pub finder: PeakFinder,
+    /// Which pixels are traced.
+    pub coverage: crate::run::Coverage,
+    /// What finds the triangles rays meet.
+    pub intersection: String,
+    /// Predicted by the plan for the scene's tolerance, ms.
+    pub predicted_ms: Option<f64>,
+    /// Frames per second at the median time.
+    pub frames_per_s: f64,
+    /// Samples of pixels in a frame: each a ray, but on planes. `None` without images.
+    pub samples: Option<f64>,
+    /// Of all that a frame takes, ms.
+    pub ms_per_million_samples: Option<f64>,
+    /// Hierarchy while it is built (on top of the mesh), patterns of speckle, and a frame's
+    /// light and counts, MB: by arithmetic.
+    pub memory_mb: f64,
     /// Speckle with other grains: `error` is then the difference of two draws.
     pub other_grains: bool,
     /// None is both faster and more accurate.
     pub on_front: bool,
     /// What the scene's runs use.
     pub chosen: bool,
-}
-
-/// What another program does, measured as a row is.
-#[derive(Debug, Serialize)]
-pub struct BesideRow {
-    /// What the chart calls it.
-    pub name: String,
-    /// Lower quartile, median and upper quartile over frames and rounds, ms.
-    pub ms: [f64; 3],
-    /// Times as fast as the full model.
-    pub speed_up: f64,
-    /// The lines in its images against the full model's.
-    pub error: HeightErrors,
-    /// Against geometry in f64; `None` for a point laser.
-    pub scatter: Option<HeightErrors>,
-    /// Median standard deviation of the lines, px.
-    pub line_sigma_px: Option<f64>,
-    /// Contrast of the columns' light along the lines.
-    pub contrast: Option<f64>,
 }
 
 /// A frame that takes longer is done in the first round only, ms.
@@ -165,7 +154,7 @@ pub fn chart(
         speckle_limit_um: accuracy.and_then(|a| a.speckle_limit_um),
         frames,
         rows,
-        beside: beside.map(|beside| beside_row(beside, &tiers, &measured)),
+        beside: beside.map(|beside| beside_figures(beside, &tiers, &measured)),
         picture: out.join("chart.svg"),
         json: out.join("chart.json"),
     };
@@ -268,68 +257,51 @@ impl<'a> Measured<'a> {
         HeightErrors::of(&pairs.collect::<Vec<_>>(), self.calibration, self.sign)
     }
 
-    fn error(&self, peaks: &[Vec<Peak>]) -> HeightErrors {
-        self.against(peaks, &self.runs[0])
+    fn figures(&self, name: &str, times: &[f64], peaks: &[Vec<Peak>]) -> ChartFigures {
+        let ms = quartiles(times);
+        let sigmas: Vec<f64> = peaks.iter().flatten().map(|p| p.sigma).collect();
+        ChartFigures {
+            name: name.to_owned(),
+            ms,
+            speed_up: quartiles(&self.runs[0].ms)[1] / ms[1],
+            error: self.against(peaks, &self.runs[0]),
+            scatter: self.geometry.map(|truth| self.against(peaks, truth)),
+            line_sigma_px: (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1]),
+            contrast: contrast(peaks),
+        }
     }
-
-    fn scatter(&self, peaks: &[Vec<Peak>]) -> Option<HeightErrors> {
-        self.geometry.map(|truth| self.against(peaks, truth))
-    }
-
-    /// Times as fast as the full model.
-    fn speed_up(&self, ms: [f64; 3]) -> f64 {
-        quartiles(&self.runs[0].ms)[1] / ms[1]
-    }
-}
-
-fn line_sigma(peaks: &[Vec<Peak>]) -> Option<f64> {
-    let sigmas: Vec<f64> = peaks.iter().flatten().map(|p| p.sigma).collect();
-    (!sigmas.is_empty()).then(|| quartiles(&sigmas)[1])
 }
 
 /// The scene's finder on another program's images.
-fn beside_row(beside: &Beside, tiers: &Tiers, measured: &Measured) -> BesideRow {
+fn beside_figures(beside: &Beside, tiers: &Tiers, measured: &Measured) -> ChartFigures {
     let simulation = &tiers.list[0].simulation;
     let frames = beside.frames.iter();
     let peaks: Vec<_> = frames
         .map(|frame| simulation.peaks(&frame.image.counts).0)
         .collect();
     let times = beside.frames.iter().flat_map(|frame| &frame.ms);
-    let ms = quartiles(&times.copied().collect::<Vec<_>>());
-    BesideRow {
-        name: beside.name.clone(),
-        ms,
-        speed_up: measured.speed_up(ms),
-        error: measured.error(&peaks),
-        scatter: measured.scatter(&peaks),
-        line_sigma_px: line_sigma(&peaks),
-        contrast: contrast(&peaks),
-    }
+    measured.figures(&beside.name, &times.copied().collect::<Vec<_>>(), &peaks)
 }
 
 fn rows(tiers: &Tiers, measured: &Measured) -> Vec<ChartRow> {
     let row = |(i, (tier, run)): (usize, (&Tier, &Run))| {
-        let ms = quartiles(&run.ms);
+        let mut figures = measured.figures(&tier.name, &run.ms, &run.peaks);
+        let ms = figures.ms[1];
         let plan = tier.simulation.plan.clone();
         let pixels = run.pixels as f64 / run.peaks.len() as f64;
         let samples = pixels * (plan.samples_per_side as f64).powi(2);
         let samples = (!plan.geometry_only).then_some(samples);
+        figures.contrast = figures.contrast.filter(|_| !plan.geometry_only);
         ChartRow {
-            name: tier.name.clone(),
+            figures,
             finder: tier.finder,
             coverage: tier.coverage,
             intersection: tier.accel.version(),
-            ms,
             predicted_ms: plan.accuracy.as_ref().map(|a| a.cost_ms),
-            frames_per_s: 1e3 / ms[1],
-            speed_up: measured.speed_up(ms),
+            frames_per_s: 1e3 / ms,
             samples,
-            ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms[1] / n * 1e6),
+            ms_per_million_samples: samples.filter(|&n| n > 0.0).map(|n| ms / n * 1e6),
             memory_mb: tier.memory(pixels as usize) as f64 / 1e6,
-            error: measured.error(&run.peaks),
-            scatter: measured.scatter(&run.peaks),
-            line_sigma_px: line_sigma(&run.peaks),
-            contrast: contrast(&run.peaks).filter(|_| !plan.geometry_only),
             other_grains: tier.other_grains,
             on_front: false,
             chosen: i == tiers.chosen,
@@ -344,7 +316,9 @@ fn rows(tiers: &Tiers, measured: &Measured) -> Vec<ChartRow> {
 fn mark_front(rows: &mut [ChartRow]) {
     let places: Vec<Option<(f64, f64)>> = rows
         .iter()
-        .map(|row| Some((row.ms[1], row.error.within_um?)).filter(|_| !row.other_grains))
+        .map(|row| {
+            Some((row.figures.ms[1], row.figures.error.within_um?)).filter(|_| !row.other_grains)
+        })
         .collect();
     for (row, place) in rows.iter_mut().zip(&places) {
         row.on_front = place.is_some_and(|(ms, um)| {
@@ -357,25 +331,19 @@ fn mark_front(rows: &mut [ChartRow]) {
 }
 
 /// Of another program, of which no more is known than its times and what its lines are.
-fn mark(
-    name: &str,
-    ms: [f64; 3],
-    speed_up: f64,
-    error: &HeightErrors,
-    scatter: Option<&HeightErrors>,
-    [sigma_px, contrast]: [Option<f64>; 2],
-) -> Mark {
+fn mark(figures: &ChartFigures) -> Mark {
+    let error = &figures.error;
     Mark {
-        name: name.to_owned(),
-        ms,
-        speed_up,
+        name: figures.name.clone(),
+        ms: figures.ms,
+        speed_up: figures.speed_up,
         within_um: error.within_um,
         bias_um: error.bias_um,
         noise_um: error.noise_um,
         lost: error.lost,
-        scatter_um: scatter.map(|scatter| scatter.noise_um),
-        sigma_px,
-        contrast,
+        scatter_um: figures.scatter.as_ref().map(|s| s.noise_um),
+        sigma_px: figures.line_sigma_px,
+        contrast: figures.contrast,
         ms_per_million: None,
         memory_mb: None,
         on_front: false,
@@ -391,11 +359,16 @@ impl Chart {
         let Some(row) = self.rows.iter().find(|row| row.chosen) else {
             return String::new();
         };
-        let error = row.error.within_um.map_or_else(
-            || format!("{} of 100 points are lost", short(100.0 * row.error.lost)),
+        let error = row.figures.error.within_um.map_or_else(
+            || {
+                format!(
+                    "{} of 100 points are lost",
+                    short(100.0 * row.figures.error.lost)
+                )
+            },
             |um| format!("99 of 100 heights are within {} µm of it", short(um)),
         );
-        let speed_up = short(row.speed_up);
+        let speed_up = short(row.figures.speed_up);
         format!("The chosen plan runs {speed_up} times as fast as the full model; {error}")
     }
 
@@ -407,25 +380,9 @@ impl Chart {
             chosen: row.chosen,
             hollow: row.other_grains,
             other: false,
-            ..mark(
-                &row.name,
-                row.ms,
-                row.speed_up,
-                &row.error,
-                row.scatter.as_ref(),
-                [row.line_sigma_px, row.contrast],
-            )
+            ..mark(&row.figures)
         };
-        let beside = self.beside.as_ref().map(|row| {
-            mark(
-                &row.name,
-                row.ms,
-                row.speed_up,
-                &row.error,
-                row.scatter.as_ref(),
-                [row.line_sigma_px, row.contrast],
-            )
-        });
+        let beside = self.beside.as_ref().map(mark);
         let frames: Vec<String> = self.frames.iter().map(u32::to_string).collect();
         let mut lead = vec![format!(
             "{}: frames {}, one core, medians and quartiles of {} rounds in turn.",

@@ -27,7 +27,7 @@ pub use accept::{
 pub use bench_bvh::{BvhBench, bench_bvh};
 pub use beside::{Beside, BesideFrame};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
-pub use chart::{BesideRow, Chart, ChartEffort, ChartRow, chart, chart_steps};
+pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
 pub use kept::{Kept, keeps_word};
 pub use peak_image::{
