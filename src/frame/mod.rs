@@ -42,7 +42,7 @@ pub use defocus::{Blur, LensBlur};
 pub use expose::expose;
 pub use footprint::{Region, footprint};
 pub use geometric::{LinePoint, Sheet};
-pub use ghosts::{Indirect, Reflections, ghosts, met_again};
+pub use ghosts::{Ghosts, Indirect, Reflections, ghosts, met_again};
 pub use grid::Grid;
 pub use irradiance::Irradiance;
 pub use light::{Light, Sampling, light};
@@ -111,6 +111,12 @@ pub fn take<'a>(
 /// Mean irradiance of each pixel, mW/mm². The same bytes for any number of threads, and
 /// for [`Region::All`] and [`Region::Lit`].
 pub fn irradiance(view: &View, region: &Region) -> Irradiance {
+    let again = |indirect| ghosts(view, region, indirect); // light that is reflected more than once
+    irradiance_with(view, region, view.indirect.as_ref().map(again).as_ref())
+}
+
+/// The same with light that is reflected more than once as it was found before; without it if it is `None`.
+pub(crate) fn irradiance_with(view: &View, region: &Region, ghosts: Option<&Ghosts>) -> Irradiance {
     let (camera, wider) = beyond_the_edges(view, region);
     let traced = &View {
         camera: &camera,
@@ -120,10 +126,9 @@ pub fn irradiance(view: &View, region: &Region) -> Irradiance {
     let light = light(traced, pixels); // rays: irradiance and depth at each sample
     let light = skew(light); // out of focus, gloss lies to one side
     let light = blur(light, view, region); // what the lens spreads
-    let Some(indirect) = &view.indirect else {
+    let (Some(indirect), Some(ghosts)) = (&view.indirect, ghosts) else {
         return expose(light, view); // speckle × light, integrated over pixels
     };
-    let ghosts = ghosts(view, region, indirect); // light that is reflected more than once
     match indirect.is_one_field(view) {
         true => expose(light.with_indirect(&ghosts.mean), view),
         false => Irradiance::sum(&[expose(light, view), ghosts.exposed(view)]),

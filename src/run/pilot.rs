@@ -6,8 +6,9 @@ use super::height_errors::HeightErrors;
 use super::simulation::Simulation;
 use crate::camera::{Column, Columns, NearLight};
 use crate::error::Result;
-use crate::frame::{Blur, Sampling};
+use crate::frame::{Blur, Ghosts, Sampling};
 use crate::math::DVec2;
+use crate::mesh::Watch;
 use crate::plan::accuracy::{Grain, Pilot, PilotPoint};
 use crate::plan::rules::Plan;
 use crate::profile::{ErrorModel, Peak};
@@ -19,6 +20,8 @@ use std::ops::Range;
 const COLUMNS: usize = 64;
 /// Frames, for each that is looked at, in which a line is looked for.
 const FRAMES_ASKED: u32 = 4;
+/// Paths from the laser at most, in all strips: some ten seconds of one core.
+const PATHS: f64 = (1u32 << 22) as f64;
 
 /// Columns of a frame.
 struct Strip {
@@ -30,6 +33,8 @@ struct Strip {
 pub(crate) struct Looked {
     full: Simulation,
     strips: Vec<Strip>,
+    /// Light that is reflected more than once, strip by strip: the same for all plans.
+    ghosts: Vec<Vec<Ghosts>>,
     /// The full model's lines, strip by strip.
     truth: Vec<Vec<Peak>>,
     /// Share of the lit columns of the scan that was not looked at.
@@ -79,17 +84,37 @@ fn strips(full: &Simulation, wanted: u32) -> (Vec<Strip>, f64) {
 }
 
 impl Looked {
-    /// At about so many strips of a simulation by the full model.
-    pub fn new(full: Simulation, wanted: u32) -> Looked {
+    /// At about so many strips of a simulation by the full model; `watch` hears how far light that is reflected more
+    /// than once was followed.
+    pub fn new(full: Simulation, wanted: u32, watch: &Watch) -> Result<Looked> {
         let (strips, left) = strips(&full, wanted);
-        let truth = strips.par_iter().map(|strip| strip.peaks(&full)).collect();
-        Looked {
+        let times = full.plan.reflections.map_or(1.0, |planned| {
+            let all = f64::from(planned.from_laser) * strips.len() as f64;
+            (PATHS / all).min(1.0)
+        });
+        let mut ghosts = Vec::new();
+        for strip in &strips {
+            ghosts.push(full.strip_ghosts(strip.frame, &strip.columns, times));
+            watch(ghosts.len() as f64 / strips.len() as f64)?;
+        }
+        let mut looked = Looked {
             full,
             strips,
-            truth,
+            ghosts,
+            truth: Vec::new(),
             left,
             known: Vec::new(),
-        }
+        };
+        looked.truth = looked.peaks(&looked.full);
+        Ok(looked)
+    }
+
+    /// A simulation's lines, strip by strip.
+    fn peaks(&self, simulation: &Simulation) -> Vec<Vec<Peak>> {
+        let pairs = self.strips.par_iter().zip(&self.ghosts);
+        pairs
+            .map(|(strip, ghosts)| strip.peaks(simulation, ghosts))
+            .collect()
     }
 
     pub fn frames(&self) -> Vec<u32> {
@@ -109,8 +134,8 @@ impl Looked {
             return Ok(errors.clone());
         }
         let simulation = self.full.otherwise(plan.clone())?;
-        let found = self.strips.par_iter().map(|strip| strip.peaks(&simulation));
-        let pairs: Vec<_> = found.zip(self.truth.par_iter().cloned()).collect();
+        let found = self.peaks(&simulation).into_iter();
+        let pairs: Vec<_> = found.zip(self.truth.iter().cloned()).collect();
         let errors = HeightErrors::of(&pairs, &self.full.calibration, 1.0);
         self.known.push((plan.clone(), errors.clone()));
         Ok(errors)
@@ -125,12 +150,13 @@ impl Looked {
             sampling: Sampling::Planes,
             samples_per_side: 4,
             blur: Blur::None,
+            reflections: None,
             ..self.full.plan.clone()
         };
         let scene = &self.full.scene;
         let simulation = self.full.otherwise(calm)?;
-        let lines = self.strips.par_iter().map(|strip| strip.peaks(&simulation));
-        let lines: Vec<Vec<Peak>> = lines.collect();
+        let lines = self.strips.par_iter();
+        let lines: Vec<Vec<Peak>> = lines.map(|strip| strip.peaks(&simulation, &[])).collect();
         let points = lines.iter().flat_map(|peaks| self.points(peaks));
         let looked_at = |&radii: &f64| {
             let simulation = self.full.otherwise(Plan {
@@ -140,7 +166,7 @@ impl Looked {
                 ..simulation.plan.clone()
             })?;
             let pixels = self.strips.par_iter().map(|strip| {
-                let light = simulation.strip(strip.frame, &strip.columns);
+                let light = simulation.strip(strip.frame, &strip.columns, &[]);
                 light.looked_at()
             });
             let columns: usize = self.strips.iter().map(|s| s.columns.len()).sum();
@@ -192,14 +218,14 @@ impl Looked {
 
 impl Strip {
     /// Its lines, found as if the sensor had no other columns.
-    fn peaks(&self, simulation: &Simulation) -> Vec<Peak> {
+    fn peaks(&self, simulation: &Simulation, ghosts: &[Ghosts]) -> Vec<Peak> {
         let first = self.columns.start as u32;
         if simulation.plan.geometry_only {
             let mut peaks = simulation.geometric_peaks(&simulation.pose(self.frame)).0;
             peaks.retain(|peak| self.columns.contains(&(peak.column as usize)));
             return peaks;
         }
-        let light = simulation.strip(self.frame, &self.columns);
+        let light = simulation.strip(self.frame, &self.columns, ghosts);
         let image = simulation.counts_near_light(self.frame, &light);
         let strip = SomeColumns {
             image,

@@ -93,9 +93,14 @@ fn noise_method(plan: &Plan) -> &'static str {
 pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>, watch: &Watch) -> Result<Plan> {
     let base = plan(scene, accel);
     let again = MetAgain::of(scene, accel, &base)?;
-    let mut plan = direct_plan(scene, accel, base, again.most(scene) > 1)?;
-    let (reflections, effect) = again.planned(scene, accel, &plan, watch)?;
-    (plan.reflections, plan.reflections_noise) = reflections.unzip();
+    let (reflections, effect) = again.planned(scene, accel, &base, &|share| watch(share / 2.0))?;
+    let (reflections, reflections_noise) = reflections.unzip();
+    let base = Plan {
+        reflections,
+        reflections_noise,
+        ..base
+    };
+    let mut plan = chosen(scene, accel, base, &|share| watch(0.5 + share / 2.0))?;
     // Before motion and what follows it.
     let motion = |e: &Effect| e.effect == EffectKind::ExposureMotion;
     let at = plan.effects.iter().position(motion);
@@ -105,13 +110,12 @@ pub(crate) fn scene_plan_with(scene: &Scene, accel: &Arc<Accel>, watch: &Watch) 
     Ok(plan)
 }
 
-/// What it does of light that is reflected once. Other light is the same for all plans that take
-/// images; they must be taken if there is any (`ghosts`).
-fn direct_plan(scene: &Scene, accel: &Arc<Accel>, base: Plan, ghosts: bool) -> Result<Plan> {
+/// By its tolerance, if it has one.
+fn chosen(scene: &Scene, accel: &Arc<Accel>, base: Plan, watch: &Watch) -> Result<Plan> {
     let Some(tolerance) = scene.tolerance_um else {
         return Ok(told(&scene.methods, named(scene, base)));
     };
-    let mut choice = choose(scene, accel, &base, (tolerance, ghosts))?;
+    let mut choice = choose(scene, accel, &base, tolerance, watch)?;
     let pilot = &choice.pilot;
     choice.plan.blurred_share = pilot.blurred_share().unwrap_or(base.blurred_share);
     let effects = effects(scene, &mut choice, &base)?;

@@ -156,3 +156,39 @@ fn more_noise_than_the_sensors_is_warned_of() {
         assert!(warning.is_none_or(|warning| warning.message.contains("up to 4.60 times")));
     }
 }
+
+/// Light found in advance is that of the whole frame in these columns, at each pose of an exposure: a plan is looked for
+/// by what the frames will have.
+#[test]
+fn columns_alone_have_the_light_of_the_whole_frame() {
+    let (mut scene, accel, mut plan) = groove();
+    scene.scan.exposure_share = Some(0.5);
+    scene.scan.exposure_poses = 2;
+    plan.reflections = Some(Reflections {
+        most: 3,
+        from_laser: LEAST,
+        per_pixel: 0.1,
+    });
+    let clusters = Arc::new(crate::accel::Clusters::new(&scene.mesh));
+    let simulation = Simulation::with_plan(&scene, accel, plan).unwrap();
+    let simulation = simulation.with_clusters(clusters);
+    let (frame, columns) = (scene.scan.frames / 2, 40..90);
+    let ghosts = simulation.strip_ghosts(frame, &columns, 1.0);
+    assert_eq!(ghosts.len(), 2);
+    let across = scene.camera.sensor.resolution.x as usize;
+    let inside = |i: usize| columns.contains(&(i % across));
+    let of = |image: &crate::frame::Irradiance| -> Vec<f32> {
+        let dense = image.dense().into_iter().enumerate();
+        dense.filter(|(i, _)| inside(*i)).map(|(_, e)| e).collect()
+    };
+    let whole = of(&simulation.irradiance(frame));
+    let alone = simulation.strip(frame, &columns, &ghosts);
+    assert_eq!(of(&alone), whole);
+    let direct = of(&simulation.strip(frame, &columns, &[]));
+    assert!(
+        whole
+            .iter()
+            .zip(&direct)
+            .any(|(with, without)| with > without)
+    );
+}

@@ -7,6 +7,7 @@ use super::simulation::Simulation;
 use crate::accel::{Accel, Clusters};
 use crate::error::Result;
 use crate::frame::Sampling;
+use crate::mesh::Watch;
 use crate::plan::accuracy::{Accuracy, Pilot, candidates, geometry_only, no_finer};
 use crate::plan::height_error::{PROMISED_SHARE, SIGMAS_OF_99};
 use crate::plan::rules::Plan;
@@ -58,12 +59,14 @@ impl Goal {
     }
 }
 
-/// Chooses for the tolerance of a scene, which may need images; `base` is its plan without one.
+/// Chooses for the tolerance of a scene; `base` is its plan without one. Light that is reflected more than once is
+/// the same for all plans that take images; they must be taken if there is any. `watch` hears how far it was followed.
 pub(crate) fn choose(
     scene: &Scene,
     accel: &Arc<Accel>,
     base: &Plan,
-    (tolerance_um, images): (f64, bool),
+    tolerance_um: f64,
+    watch: &Watch,
 ) -> Result<Choice> {
     let clusters = Arc::new(Clusters::new(&scene.mesh));
     let asked = named(scene, base.clone());
@@ -73,13 +76,14 @@ pub(crate) fn choose(
         let side = samples.max(2 * most);
         let reference = Plan {
             samples_per_side: side,
+            reflections: base.reflections,
             ..full(base, &asked)
         };
         let simulation = Simulation::with_plan(scene, accel.clone(), reference)?;
-        let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips);
+        let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips, watch)?;
         let plans = candidates(base, side / 2).into_iter();
         let plans: Vec<Plan> = plans.map(|plan| named(scene, plan)).collect();
-        let choice = among(scene, looked, base, plans, (tolerance_um, images))?;
+        let choice = among(scene, looked, base, plans, tolerance_um)?;
         let Accuracy {
             sufficient,
             pilot_points,
@@ -105,7 +109,7 @@ fn among(
     mut looked: Looked,
     base: &Plan,
     images: Vec<Plan>,
-    (tolerance_um, needed): (f64, bool),
+    tolerance_um: f64,
 ) -> Result<Choice> {
     let finer = |best: Plan, plan: Plan| if no_finer(&best, &plan) { plan } else { best };
     let finest = images.iter().cloned().reduce(finer);
@@ -131,7 +135,7 @@ fn among(
         planned_um: tolerance_um.max(scatter),
         left: looked.left(),
     };
-    let line = scene.laser.fan.is_some() && !scene.write_frames && !needed;
+    let line = scene.laser.fan.is_some() && !scene.write_frames && base.reflections.is_none();
     let geometry = line && scene.methods.geometry_only != Some(false);
     let (plan, sufficient) = match best.points {
         // Nothing speaks for leaving anything out.

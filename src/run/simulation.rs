@@ -9,7 +9,7 @@ use crate::accel::{Accel, Clusters};
 use crate::camera::{Counts, NearLight};
 use crate::error::Result;
 use crate::frame::{
-    self, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
+    self, Ghosts, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
 };
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec3, Rigid};
@@ -235,11 +235,44 @@ impl Simulation {
         [direct, ghosts].map(Irradiance::mean)
     }
 
-    /// The same in these columns alone, and dark elsewhere; of one that traces the
-    /// footprint.
-    pub(crate) fn strip(&self, frame: u32, columns: &Range<usize>) -> Irradiance {
+    /// The same in these columns alone, and dark elsewhere, of one that traces the footprint; with what
+    /// [`strip_ghosts`](Self::strip_ghosts) found there.
+    pub(crate) fn strip(
+        &self,
+        frame: u32,
+        columns: &Range<usize>,
+        ghosts: &[Ghosts],
+    ) -> Irradiance {
+        let (pose, region) = (self.pose(frame), self.columns_alone(columns));
+        let images = (self.views(&pose).enumerate())
+            .map(|(i, view)| frame::irradiance_with(&view, &region, ghosts.get(i)));
+        Irradiance::mean(images.collect())
+    }
+
+    /// Light that is reflected more than once in these columns, at each pose of the exposure, by so many times the
+    /// plan's paths; empty if the plan follows none.
+    pub(crate) fn strip_ghosts(
+        &self,
+        frame: u32,
+        columns: &Range<usize>,
+        times: f64,
+    ) -> Vec<Ghosts> {
+        let (pose, region) = (self.pose(frame), self.columns_alone(columns));
+        let ghosts = |view: View| {
+            let indirect = view.indirect?;
+            let reflections = indirect.reflections.times(times);
+            let indirect = Indirect {
+                reflections,
+                ..indirect
+            };
+            Some(frame::ghosts(&view, &region, &indirect))
+        };
+        self.views(&pose).filter_map(ghosts).collect()
+    }
+
+    fn columns_alone(&self, columns: &Range<usize>) -> Region<'_> {
         let clusters = self.clusters.as_ref().expect("it traces the footprint");
-        self.mean(frame, &Region::Columns(clusters, columns.clone()))
+        Region::Columns(clusters, columns.clone())
     }
 
     /// From the first column that may be lit in a frame to the last.
