@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// Beam radii (1/e²) by which the sheet of another frame is off a point at least: an edge that
 /// cuts the beam here is then 2 σ and more beyond the light there, or out of it.
-const APART: f64 = 2.0;
+pub(super) const APART: f64 = 2.0;
 
 /// Standard uncertainties by which a point may lie off the straight line between those of the
 /// frames before and after. Errors of three points make 1.22 standard ones of that distance;
@@ -163,4 +163,4 @@ fn is_one_line(point: &CloudPoint) -> bool {
 
 #[cfg(test)]
 #[path = "continuity_tests.rs"]
-mod tests;
+pub(super) mod tests;

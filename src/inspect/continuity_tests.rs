@@ -10,7 +10,7 @@ const COLUMNS: u32 = 40;
 const RADIUS: f64 = 0.1;
 const SIGMA: f64 = 0.001;
 
-fn laser() -> Laser {
+pub fn laser() -> Laser {
     Laser {
         beam: Beam {
             wavelength: 660e-6,
@@ -26,7 +26,7 @@ fn laser() -> Laser {
     }
 }
 
-fn pose(frame: u32, step: f64) -> HeadPose {
+pub fn pose(frame: u32, step: f64) -> HeadPose {
     let moved = Rigid::translation(DVec3::new(0.0, step * frame as f64, 0.0));
     HeadPose {
         part_from_laser: moved,
@@ -35,7 +35,7 @@ fn pose(frame: u32, step: f64) -> HeadPose {
 }
 
 /// Points of so many frames on a slope, `step` mm apart.
-fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
+pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
     let point = |frame: u32, column: u32| {
         let y = step * frame as f64;
         CloudPoint {

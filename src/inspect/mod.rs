@@ -10,4 +10,5 @@ pub mod continuity;
 pub mod coverage;
 pub mod deviation;
 pub mod flags;
+pub mod sight_lines;
 pub mod uncertainty;

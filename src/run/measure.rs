@@ -8,6 +8,7 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::continuity::{compare_frames, frames_beside};
 use crate::inspect::coverage::HeadPose;
 use crate::inspect::deviation::signed_distance;
+use crate::inspect::sight_lines::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
     Flags, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
@@ -288,10 +289,14 @@ impl Simulation {
     }
 
     /// Sets and takes back [`Flags::EDGE`] by what other frames show of the surface
-    /// ([`compare_frames`]). `frames` are all that were measured, in order, and `points` theirs.
+    /// ([`compare_frames`]), and sets [`Flags::GHOST`] by what all frames of the scan show behind a point
+    /// ([`compare_lines_of_sight`]). `frames` are all that were measured, in order, and `points` theirs.
     pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
         let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
         compare_frames(points, &scanned, &self.scene.laser);
+        if scanned.len() as u32 == self.scene.scan.frames {
+            compare_lines_of_sight(points, &scanned, &self.scene.laser);
+        }
     }
 
     /// The same for a piece of the scan: `points` of all its frames get the flags they have in the

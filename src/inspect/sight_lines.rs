@@ -1,0 +1,267 @@
+//! Points that would hide what other frames see behind them.
+
+use super::cloud::CloudPoint;
+use super::continuity::APART;
+use super::coverage::HeadPose;
+use crate::laser::Laser;
+use crate::math::{DVec3, Rigid};
+use crate::profile::Flags;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Standard uncertainties by which a point is above a line of sight at least: one of 30 000 is by chance.
+const SIGMAS: f64 = 4.0;
+/// Of the light of what is seen behind it a point that is no surface has less than this share: most of what is reflected
+/// twice is fainter by far, while speckle and slopes of one surface make light differ by less in most places.
+const FAINTER: f64 = 0.2;
+/// Points behind it that say so at least: one may be a reflection itself.
+const FEWEST: u32 = 2;
+
+/// Sets [`Flags::GHOST`] of points that are no surface: the lines of sight of at least [`FEWEST`] points of other frames
+/// pass below them, where the part would be if it were there, and these points are brighter by far, so that it is they
+/// that are the surface. `points` are in the order of frames, then columns; `scanned` are all frames of the scan, in
+/// order.
+///
+/// A point is above a line of sight by more than its uncertainty and than where its light may lie beside the sheet.
+/// Nothing is said of a laser without a fan, whose frames have a point each.
+pub fn compare_lines_of_sight(
+    points: &mut [CloudPoint],
+    scanned: &[(u32, HeadPose)],
+    laser: &Laser,
+) {
+    let valid = points.iter().filter(|point| point.is_valid());
+    let brightest = valid.fold(0.0, |most: f64, point| most.max(point.intensity));
+    let of_frame = |&(frame, pose): &(u32, HeadPose)| {
+        let before = |frame: u32| points.partition_point(|p| p.frame < frame);
+        let range = before(frame)..before(frame + 1);
+        Profile::new(points, range, &pose, FAINTER * brightest)
+    };
+    let profiles: Vec<Profile> = scanned.par_iter().map(of_frame).collect();
+    if laser.fan.is_none() {
+        return;
+    }
+    let sight = LinesOfSight {
+        points,
+        top: profiles.iter().map(|p| p.top).fold(f64::INFINITY, f64::min),
+        profiles: &profiles,
+        laser,
+        hidden: points.iter().map(|_| AtomicU32::new(0)).collect(),
+    };
+    (0..profiles.len()).into_par_iter().for_each(|i| {
+        sight.follow(i, (0..i).rev());
+        sight.follow(i, i + 1..profiles.len());
+    });
+    let hidden = sight.hidden;
+    for (point, hidden) in points.iter_mut().zip(hidden) {
+        if hidden.into_inner() >= FEWEST {
+            point.flags.insert(Flags::GHOST);
+        }
+    }
+}
+
+/// The points of a frame in its laser's sheet.
+struct Profile {
+    laser_from_part: Rigid,
+    eye: DVec3,
+    range: Range<usize>,
+    /// Tangent of the angle in the fan, distance along the laser's axis (mm), number; by the first.
+    across: Vec<(f64, f64, usize)>,
+    /// From column to column, of the first.
+    pitch: f64,
+    /// Nearest to the laser of those that may be too faint, mm.
+    top: f64,
+}
+
+impl Profile {
+    /// `faint`: light below which a point may be too faint.
+    fn new(points: &[CloudPoint], range: Range<usize>, pose: &HeadPose, faint: f64) -> Profile {
+        let laser_from_part = pose.part_from_laser.inverse();
+        let in_sheet = |i: usize| {
+            let place = laser_from_part.point(points[i].position);
+            (place.z > 0.0).then_some((place.x / place.z, place.z, i))
+        };
+        let mut across: Vec<_> = range.clone().filter_map(in_sheet).collect();
+        let way = |pair: &[(f64, f64, usize)]| (pair[1].0 - pair[0].0).abs();
+        let columns =
+            |pair: &[(f64, f64, usize)]| points[pair[1].2].column - points[pair[0].2].column;
+        let beside = || across.windows(2).filter(|pair| columns(pair) == 1);
+        let pitch = beside().map(way).sum::<f64>() / beside().count().max(1) as f64;
+        let faint = across.iter().filter(|(.., i)| points[*i].intensity < faint);
+        let top = faint.map(|&(_, z, _)| z).fold(f64::INFINITY, f64::min);
+        across.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Profile {
+            laser_from_part,
+            eye: pose.part_from_camera.translation,
+            range,
+            across,
+            pitch,
+            top,
+        }
+    }
+
+    /// Those within a column of a place in the sheet.
+    fn near(&self, place: DVec3) -> &[(f64, f64, usize)] {
+        let angle = place.x / place.z;
+        let before = |angle: f64| self.across.partition_point(|p| p.0 < angle);
+        &self.across[before(angle - self.pitch)..before(angle + self.pitch)]
+    }
+}
+
+struct LinesOfSight<'a> {
+    points: &'a [CloudPoint],
+    profiles: &'a [Profile],
+    /// Nearest to the laser of all that may be too faint, mm.
+    top: f64,
+    laser: &'a Laser,
+    /// Of each point, how many far brighter ones it would hide.
+    hidden: Vec<AtomicU32>,
+}
+
+impl LinesOfSight<'_> {
+    /// Follows the lines of sight of a frame's points through the sheets of others, until they are above all that was
+    /// measured.
+    fn follow(&self, frame: usize, others: impl Iterator<Item = usize>) {
+        let Profile { eye, range, .. } = &self.profiles[frame];
+        let mut left: Vec<&CloudPoint> = self.points[range.clone()]
+            .iter()
+            .filter(|point| point.is_valid())
+            .collect();
+        for other in others {
+            let profile = &self.profiles[other];
+            if profile.laser_from_part == self.profiles[frame].laser_from_part {
+                continue;
+            }
+            let eye = profile.laser_from_part.point(*eye);
+            left.retain(|point| {
+                let seen = profile.laser_from_part.point(point.position);
+                let place = seen + (eye - seen) * (seen.y / (seen.y - eye.y));
+                let between = seen.y * eye.y < 0.0;
+                if between && seen.y.abs() >= APART * self.laser.beam.radius(seen.length()) {
+                    self.pass(point, eye - seen, place, profile);
+                }
+                between && place.z > self.top
+            });
+            if left.is_empty() {
+                return;
+            }
+        }
+    }
+
+    /// A line of sight goes through a sheet.
+    fn pass(&self, seen: &CloudPoint, along: DVec3, place: DVec3, profile: &Profile) {
+        if place.z <= profile.top {
+            return;
+        }
+        let beside = APART * self.laser.beam.radius(place.length()) * (along.z / along.y).abs();
+        let near = profile.near(place);
+        let above =
+            |&(_, z, i): &(f64, f64, usize)| z + beside + SIGMAS * self.points[i].sigma < place.z;
+        if near.iter().all(above) {
+            for &(.., i) in near {
+                if self.points[i].intensity < FAINTER * seen.intensity {
+                    self.hidden[i].fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inspect::continuity::tests::{laser, pose, slope};
+
+    const FRAMES: u32 = 40;
+    const STEP: f64 = 0.25;
+
+    /// A flat floor 100 mm from the laser, with changes; the camera looks along y, at 45°.
+    fn flagged(change: impl Fn(&mut CloudPoint) -> bool) -> Vec<[u32; 2]> {
+        let mut points = slope(FRAMES, STEP);
+        points.iter_mut().for_each(|point| point.position.z = 100.0);
+        points.retain_mut(change);
+        let scanned: Vec<_> = (0..FRAMES)
+            .map(|frame| {
+                let mut pose = pose(frame, STEP);
+                pose.part_from_camera.translation += DVec3::new(1.0, -70.0, 30.0);
+                (frame, pose)
+            })
+            .collect();
+        compare_lines_of_sight(&mut points, &scanned, &laser());
+        let ghosts = points.iter().filter(|p| p.flags.contains(Flags::GHOST));
+        ghosts.map(|point| [point.frame, point.column]).collect()
+    }
+
+    fn is_raised(point: &CloudPoint) -> bool {
+        (18..22).contains(&point.frame) && (10..30).contains(&point.column)
+    }
+
+    /// The floor is seen below and behind what is raised by 3 mm, through some twelve sheets.
+    #[test]
+    fn what_hides_brighter_points_is_doubted() {
+        let raised = |light: f64| {
+            flagged(move |point| {
+                if is_raised(point) {
+                    point.position.z = 97.0;
+                    point.intensity = light;
+                }
+                true
+            })
+        };
+        let all: Vec<[u32; 2]> = (18..22)
+            .flat_map(|f| (10..30).map(move |c| [f, c]))
+            .collect();
+        // Points at the same angle in the fan, but nearer to the laser, lie up to a column further in.
+        let found = raised(100.0);
+        assert!(found.iter().all(|point| all.contains(point)));
+        assert!(found.len() >= all.len() - 4 * 4, "{}", found.len());
+        assert!(raised(0.5 * 1000.0).is_empty());
+        assert!(raised(1000.0).is_empty());
+    }
+
+    /// What stands on a floor hides it: behind a rib none is measured, and the rib is not doubted however dark it is.
+    #[test]
+    fn what_hides_what_is_not_measured_is_not() {
+        let found = flagged(|point| {
+            if is_raised(point) {
+                point.position.z = 97.0;
+                point.intensity = 100.0;
+            }
+            // Its shadow to the camera is 3 mm long: twelve frames.
+            let hidden = (22..36).contains(&point.frame) && (8..32).contains(&point.column);
+            !hidden
+        });
+        assert!(found.is_empty(), "{found:?}");
+    }
+
+    /// One point behind may be a reflection itself; doubtful ones say nothing; dark places of a floor hide nothing.
+    #[test]
+    fn few_and_doubtful_points_say_nothing() {
+        let behind = |count: u32| {
+            flagged(move |point| {
+                let raised = [point.frame, point.column] == [20, 20];
+                if raised {
+                    point.position.z = 97.0;
+                    point.intensity = 100.0;
+                }
+                let seen = (25..25 + count).contains(&point.frame) && point.column == 20;
+                raised || seen || point.column.abs_diff(20) > 6
+            })
+        };
+        assert!(behind(1).is_empty());
+        assert_eq!(behind(2), [[20, 20]]);
+        let doubtful = flagged(|point| {
+            match is_raised(point) {
+                true => (point.position.z, point.intensity) = (97.0, 100.0),
+                false => point.flags.insert(Flags::WIDE),
+            }
+            true
+        });
+        assert!(doubtful.is_empty());
+        let dark = flagged(|point| {
+            point.intensity = if is_raised(point) { 1.0 } else { 1000.0 };
+            true
+        });
+        assert!(dark.is_empty());
+    }
+}
