@@ -61,7 +61,7 @@ const FLAGS: [(Flags, &str, &str); 9] = [
     (
         Flags::GHOST,
         "ghost",
-        "possibly a reflection: wider than the other line of its column, or seen only beside it",
+        "possibly a reflection: wider than the other line of its column, seen only beside it, or in the way of far brighter points",
     ),
     (
         Flags::FILLED,

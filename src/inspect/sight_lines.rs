@@ -60,16 +60,29 @@ pub fn compare_lines_of_sight(
     }
 }
 
-/// The points of a frame in its laser's sheet.
+/// A point in the sheet of its frame.
+#[derive(Clone, Copy)]
+struct InSheet {
+    /// Tangent of its angle in the fan.
+    angle: f64,
+    /// Distance along the laser's axis, mm.
+    far: f64,
+    number: usize,
+}
+
+/// The points of a frame.
 struct Profile {
     laser_from_part: Rigid,
     eye: DVec3,
     range: Range<usize>,
-    /// Tangent of the angle in the fan, distance along the laser's axis (mm), number; by the first.
-    across: Vec<(f64, f64, usize)>,
-    /// From column to column, of the first.
+    /// By their angles.
+    all: Vec<InSheet>,
+    /// Angle from column to column.
     pitch: f64,
-    /// Nearest to the laser of those that may be too faint, mm.
+    /// In strips as wide as that, from the first angle on: nearest to the laser of points in it and beside that may be
+    /// too faint, mm; infinite where there is none.
+    tops: Vec<f64>,
+    /// Of all of these.
     top: f64,
 }
 
@@ -77,34 +90,57 @@ impl Profile {
     /// `faint`: light below which a point may be too faint.
     fn new(points: &[CloudPoint], range: Range<usize>, pose: &HeadPose, faint: f64) -> Profile {
         let laser_from_part = pose.part_from_laser.inverse();
-        let in_sheet = |i: usize| {
-            let place = laser_from_part.point(points[i].position);
-            (place.z > 0.0).then_some((place.x / place.z, place.z, i))
+        let in_sheet = |number: usize| {
+            let place = laser_from_part.point(points[number].position);
+            (place.z > 0.0).then_some(InSheet {
+                angle: place.x / place.z,
+                far: place.z,
+                number,
+            })
         };
-        let mut across: Vec<_> = range.clone().filter_map(in_sheet).collect();
-        let way = |pair: &[(f64, f64, usize)]| (pair[1].0 - pair[0].0).abs();
-        let columns =
-            |pair: &[(f64, f64, usize)]| points[pair[1].2].column - points[pair[0].2].column;
-        let beside = || across.windows(2).filter(|pair| columns(pair) == 1);
-        let pitch = beside().map(way).sum::<f64>() / beside().count().max(1) as f64;
-        let faint = across.iter().filter(|(.., i)| points[*i].intensity < faint);
-        let top = faint.map(|&(_, z, _)| z).fold(f64::INFINITY, f64::min);
-        across.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Profile {
+        let mut all: Vec<InSheet> = range.clone().filter_map(in_sheet).collect();
+        let columns = |[a, b]: [&InSheet; 2]| points[b.number].column - points[a.number].column;
+        let beside = all
+            .windows(2)
+            .filter(|pair| columns([&pair[0], &pair[1]]) == 1);
+        let ways = beside.map(|pair| (pair[1].angle - pair[0].angle).abs());
+        let (way, count) = ways.fold((0.0, 0), |(way, count), next| (way + next, count + 1));
+        all.sort_by(|a, b| a.angle.total_cmp(&b.angle));
+        let span = all.last().map_or(0.0, |last| last.angle - all[0].angle);
+        let mut profile = Profile {
             laser_from_part,
             eye: pose.part_from_camera.translation,
             range,
-            across,
-            pitch,
-            top,
+            all,
+            // No sensor has so many columns.
+            pitch: (way / f64::from(count.max(1))).max(span / 65536.0),
+            tops: Vec::new(),
+            top: f64::INFINITY,
+        };
+        for point in &profile.all {
+            if points[point.number].intensity < faint {
+                let strip = profile.strip(point.angle).unwrap_or(0);
+                profile
+                    .tops
+                    .resize(profile.tops.len().max(strip + 2), f64::INFINITY);
+                for top in &mut profile.tops[strip.saturating_sub(1)..strip + 2] {
+                    *top = top.min(point.far);
+                }
+                profile.top = profile.top.min(point.far);
+            }
         }
+        profile
     }
 
-    /// Those within a column of a place in the sheet.
-    fn near(&self, place: DVec3) -> &[(f64, f64, usize)] {
-        let angle = place.x / place.z;
-        let before = |angle: f64| self.across.partition_point(|p| p.0 < angle);
-        &self.across[before(angle - self.pitch)..before(angle + self.pitch)]
+    fn strip(&self, angle: f64) -> Option<usize> {
+        let off = angle - self.all.first()?.angle;
+        (off >= 0.0 && self.pitch > 0.0).then(|| (off / self.pitch) as usize)
+    }
+
+    /// Those within a column of an angle.
+    fn near(&self, angle: f64) -> &[InSheet] {
+        let before = |angle: f64| self.all.partition_point(|p| p.angle < angle);
+        &self.all[before(angle - self.pitch)..before(angle + self.pitch)]
     }
 }
 
@@ -150,19 +186,26 @@ impl LinesOfSight<'_> {
 
     /// A line of sight goes through a sheet.
     fn pass(&self, seen: &CloudPoint, along: DVec3, place: DVec3, profile: &Profile) {
-        if place.z <= profile.top {
+        let angle = place.x / place.z;
+        let top = profile
+            .strip(angle)
+            .and_then(|strip| profile.tops.get(strip));
+        if top.is_none_or(|&top| place.z <= top) {
             return;
         }
         let beside = APART * self.laser.beam.radius(place.length()) * (along.z / along.y).abs();
-        let near = profile.near(place);
-        let above =
-            |&(_, z, i): &(f64, f64, usize)| z + beside + SIGMAS * self.points[i].sigma < place.z;
+        let light = |point: &InSheet| self.points[point.number].intensity;
+        let above = |point: &InSheet| {
+            point.far + beside + SIGMAS * self.points[point.number].sigma < place.z
+        };
+        let near = profile.near(angle);
         if near.iter().all(above) {
-            for &(.., i) in near {
-                if self.points[i].intensity < FAINTER * seen.intensity {
-                    self.hidden[i].fetch_add(1, Ordering::Relaxed);
-                }
-            }
+            let fainter = near
+                .iter()
+                .filter(|point| light(point) < FAINTER * seen.intensity);
+            fainter.for_each(|point| {
+                self.hidden[point.number].fetch_add(1, Ordering::Relaxed);
+            });
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Which lines may be reflections: light that met the part twice or more, and shows a line, or a glow, where there is
 //! no surface in the laser's sheet.
 //!
-//! All that tells is in the image. A reflection needs light elsewhere, and mostly shares its columns with the line that
+//! A frame tells by its image. A reflection needs light elsewhere, and mostly shares its columns with the line that
 //! it comes from or falls beside; what a rough surface reflects is wider than the sheet; it ends where the wall that
 //! reflects it ends, while the line goes on by itself. So lines are followed from column to column, and one is
 //! doubted beside another that is as narrow as the sheet and is more often alone, or is narrower by far.

@@ -70,8 +70,8 @@ bitflags! {
         const OUTSIDE = 1 << 6;
         /// Possibly a reflection: in a column with another line, one that is as narrow as is expected,
         /// this one is wider than that, or is seen in columns with another far more often than that is;
-        /// or it goes on from such a line. Found in the image alone; a reflection that is the only line of its
-        /// columns has it only if it goes on so.
+        /// or it goes on from such a line. So far it is found in the image alone; in the cloud of a whole scan it is
+        /// also set of points that would hide others, which are far brighter and which other frames see behind them.
         const GHOST = 1 << 7;
         /// Not measured: it fills a gap between the points on either side.
         const FILLED = 1 << 8;

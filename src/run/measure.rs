@@ -294,7 +294,8 @@ impl Simulation {
     pub fn compare_frames(&self, frames: impl Iterator<Item = u32>, points: &mut [CloudPoint]) {
         let scanned: Vec<_> = frames.map(|frame| (frame, self.head_pose(frame))).collect();
         compare_frames(points, &scanned, &self.scene.laser);
-        if scanned.len() as u32 == self.scene.scan.frames {
+        // Geometry alone has no reflections.
+        if scanned.len() as u32 == self.scene.scan.frames && !self.plan.geometry_only {
             compare_lines_of_sight(points, &scanned, &self.scene.laser);
         }
     }
