@@ -10,12 +10,13 @@ Prints one line a scene, and exits with 1 where a total or a row is off by more 
 both, known from 16 images each: by Student's t of 15 degrees of freedom a false alarm in 6000 for each of some hundred rows.
 """
 import os
-import struct
 import subprocess
 import sys
 
 import mitsuba as mi
 import numpy as np
+
+import stl
 
 mi.set_variant("scalar_rgb")
 mi.set_log_level(mi.LogLevel.Error)
@@ -31,27 +32,11 @@ SIZE = (160, 120)
 HALF_VIEW_DEG = 7.0
 
 
-def triangles_of(path):
-    with open(path, "rb") as file:
-        data = file.read()
-    count = struct.unpack("<I", data[80:84])[0]
-    rows = np.frombuffer(data[84:84 + 50 * count], dtype=np.dtype([("n", "<3f4"), ("v", "<9f4"), ("a", "<u2")]))
-    return rows["v"].reshape(-1, 3, 3).astype(float)
-
-
 def placed(triangles):
     """With its top's middle 8 mm above the origin, 40 mm wide."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     middle = np.array([*((low + high) / 2)[:2], high[2]])
     return (triangles - middle) * 40 / (high - low)[:2].max() + [0, 0, 8]
-
-
-def stl(path, triangles):
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    rows = np.zeros(len(triangles), dtype=np.dtype([("n", "<3f4"), ("v", "<9f4"), ("a", "<u2")]))
-    rows["n"], rows["v"] = normals, triangles.reshape(-1, 9)
-    with open(path, "wb") as file:
-        file.write(b"\0" * 80 + struct.pack("<I", len(rows)) + rows.tobytes())
 
 
 def ply(path, triangles):
@@ -180,11 +165,11 @@ def matt(share):
     return ("reflectance = %g" % share, {"type": "diffuse", "reflectance": share})
 
 
-def compare(name, program, out, stl, kind, camera, target, most, samples):
+def compare(name, program, out, part, kind, camera, target, most, samples):
     surface, bsdf = kind
     mesh = os.path.join(out, "part.ply")
-    ply(mesh, triangles_of(stl))
-    once, more, _ = ours(program, out, stl, surface, camera, target, most)
+    ply(mesh, stl.read(part).astype(float))
+    once, more, _ = ours(program, out, part, surface, camera, target, most)
     direct, whole = [[theirs(their_scene(mesh, bsdf, camera, target, depth), samples, first + seed)
                       for seed in range(IMAGES)] for depth, first in ((2, 100), (most + 1, 0))]
     sums = np.array([image.sum() for image in direct])
@@ -226,7 +211,7 @@ def main():
     real = os.path.join(HERE, "../../shared/data/meshes/trimesh_octagonal_pocket.stl")
     if os.path.exists(real):
         part = os.path.join(out, "part.stl")
-        stl(part, placed(triangles_of(real)))
+        stl.write(part, placed(stl.read(real).astype(float)))
         cases.append(("octagonal pocket of ../shared/data, matt", part, matt(0.8), beside, middle, 4))
         cases.append(("octagonal pocket of ../shared/data, aluminium", part, metal(0.1), beside, middle, 4))
     else:

@@ -10,7 +10,6 @@ images have; `lasertrace chart --beside` finds their lines as those of its own. 
 """
 import json
 import os
-import struct
 import subprocess
 import sys
 import time
@@ -21,18 +20,10 @@ import mitsuba as mi
 import numpy as np
 
 import mitsuba_line
+import stl
 
 TIMES = 5
 FRAMES = 3
-
-
-def triangles_of(path):
-    with open(path, "rb") as file:
-        data = file.read()
-    (count,) = struct.unpack("<I", data[80:84])
-    rows = np.frombuffer(data[84:84 + 50 * count], dtype=np.dtype([("n", "<3f4"), ("v", "<9f4"), ("a", "<u2")]))
-    points = np.ascontiguousarray(rows["v"].reshape(-1, 3))
-    return points, np.arange(len(points), dtype="<u4").reshape(-1, 3)
 
 
 def main():
@@ -41,7 +32,8 @@ def main():
         scene = tomllib.load(file)
     camera, laser, scan = scene["camera"], scene["laser"], scene["scan"]
     mesh = os.path.join(os.path.dirname(path), scene["part"]["mesh"]["file"])
-    points, faces = triangles_of(mesh)
+    points = np.ascontiguousarray(stl.read(mesh).reshape(-1, 3))
+    faces = np.arange(len(points), dtype="<u4").reshape(-1, 3)
     os.makedirs(out, exist_ok=True)
     inside = lambda name: os.path.join(out, name)
     sensor = {"size": tuple(camera["resolution_px"]), "pitch": camera["pixel_pitch_um"] * 1e-3,

@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 import mitsuba_line
+import stl
 
 ROUNDS = 7
 FRAMES = 100
@@ -83,19 +84,12 @@ def wavy(triangles):
     return np.stack([x, y, z], -1).reshape(-1, 3).astype("<f4"), faces.astype("<u4")
 
 
-def stl(path, points, faces):
-    rows = np.zeros(len(faces), dtype=np.dtype([("n", "<3f4"), ("v", "<3,3f4"), ("a", "<u2")]))
-    rows["v"] = points[faces]
-    with open(path, "wb") as file:
-        file.write(b"\0" * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
-
-
 def main():
     program, out = os.path.abspath(sys.argv[1]), sys.argv[2]
     os.makedirs(out, exist_ok=True)
     os.chdir(out)
     points, faces = wavy(int(float(sys.argv[3])) if len(sys.argv) > 3 else 1_000_000)
-    stl("part.stl", points, faces)
+    stl.write("part.stl", points[faces])
     with open("scene.toml", "w") as file:
         file.write(SCENE % {
             "waist": WAIST_MM * 1e3, "stand_off": STAND_OFF, "fan": FAN_DEG, "focal": FOCAL_MM, "focus": FOCUS_MM,

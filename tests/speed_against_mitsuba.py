@@ -16,6 +16,8 @@ import against_mitsuba as scenes
 import mitsuba as mi
 import numpy as np
 
+import stl
+
 REFLECTIONS = 3
 ROUNDS = 3
 CAMERA, TARGET = (0, -70, 170), (0, 0, -5)
@@ -53,10 +55,10 @@ def main():
     program, out = sys.argv[1:3]
     paths = int(sys.argv[3]) if len(sys.argv) > 3 else 1 << 20
     os.makedirs(out, exist_ok=True)
-    mesh, stl = [os.path.join(out, name) for name in ("part.ply", "part.stl")]
-    triangles = divided(scenes.triangles_of(os.path.join(scenes.HERE, "../scenes/corner/pocket.stl")))
+    mesh, part = [os.path.join(out, name) for name in ("part.ply", "part.stl")]
+    triangles = divided(stl.read(os.path.join(scenes.HERE, "../scenes/corner/pocket.stl")).astype(float))
     scenes.ply(mesh, triangles)
-    scenes.stl(stl, triangles)
+    stl.write(part, triangles)
     surface, bsdf = scenes.metal(0.1)
     loaded = {}
     for variant in ("scalar_rgb",):
@@ -66,7 +68,7 @@ def main():
             scenes.theirs(scene, 1, 1000)
     seconds, ratios = [], {variant: [] for variant in loaded}
     for turn in range(ROUNDS):
-        once, more, said = scenes.ours(program, out, stl, surface, CAMERA, TARGET, REFLECTIONS, paths, 2)
+        once, more, said = scenes.ours(program, out, part, surface, CAMERA, TARGET, REFLECTIONS, paths, 2)
         seconds += [[float(word) for word in line.split()] for line in said.splitlines()]
         direct, whole = np.median(seconds[-scenes.IMAGES:], axis=0)
         for variant, (alone, all_light) in loaded.items():

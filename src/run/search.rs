@@ -72,6 +72,7 @@ pub(crate) fn choose(
     let asked = named(scene, base.clone());
     let most = base.samples_per_side.max(asked.samples_per_side);
     let (mut samples, mut strips) = (FULL_SAMPLES[0], STRIPS[0]);
+    let mut done = 0.0;
     loop {
         let side = samples.max(2 * most);
         let reference = Plan {
@@ -80,7 +81,10 @@ pub(crate) fn choose(
             ..full(base, &asked)
         };
         let simulation = Simulation::with_plan(scene, accel.clone(), reference)?;
-        let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips, watch)?;
+        // There may be another round.
+        let watch = |share: f64| watch(done + (1.0 - done) * share / 2.0);
+        let looked = Looked::new(simulation.with_clusters(clusters.clone()), strips, &watch)?;
+        done = (1.0 + done) / 2.0;
         let plans = candidates(base, side / 2).into_iter();
         let plans: Vec<Plan> = plans.map(|plan| named(scene, plan)).collect();
         let choice = among(scene, looked, base, plans, tolerance_um)?;
