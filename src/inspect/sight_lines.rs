@@ -18,7 +18,7 @@ const FAINTER: f64 = 0.2;
 /// Points behind it that say so at least: one may be a reflection itself.
 const FEWEST: u32 = 2;
 
-/// Sets [`Flags::GHOST`] of points that are no surface: the lines of sight of at least [`FEWEST`] points of other frames
+/// Sets [`Flags::GHOST`] of points that are no surface: the lines of sight of at least two points of other frames
 /// pass below them, where the part would be if it were there, and these points are brighter by far, so that it is they
 /// that are the surface. `points` are in the order of frames, then columns; `scanned` are all frames of the scan, in
 /// order.

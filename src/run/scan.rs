@@ -376,16 +376,19 @@ fn finish(
         poses,
         mut summary,
     } = judge(simulation, frames, points_of(journal)?, (out, control))?;
-    files::write(&summary.cloud, |file| {
-        ply::write_ply(file, &points, &simulation.scene.bands)
-    })?;
-    files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
-    for format in &options.also {
-        control.check()?;
-        files::write(&out.join(format.file_name()), |file| {
-            format.write(file, &points)
+    let write_points = || -> Result<()> {
+        files::write(&summary.cloud, |file| {
+            ply::write_ply(file, &points, &simulation.scene.bands)
         })?;
-    }
+        files::write(&out.join(PROFILES), |file| formats::npy(file, &points))?;
+        for format in &options.also {
+            control.check()?;
+            files::write(&out.join(format.file_name()), |file| {
+                format.write(file, &points)
+            })?;
+        }
+        Ok(())
+    };
     let shown = Shown {
         simulation,
         points: &points,
@@ -395,7 +398,9 @@ fn finish(
         summary: &summary,
         run,
     };
-    let report = shown.report(control)?;
+    let (written, report) = rayon::join(write_points, || shown.report(control));
+    written?;
+    let report = report?;
     let frame = report.frames.first().map(|frame| &frame.png);
     let cloud = report.maps.first().and_then(|map| map.views.get(1));
     let cloud = cloud.map(|(_, png)| png);
