@@ -18,9 +18,9 @@ const FAINTER: f64 = 0.2;
 /// Points behind it that say so at least: one may be a reflection itself.
 const FEWEST: u32 = 2;
 
-/// Sets [`Flags::GHOST`] of points that are no surface: the lines of sight of at least two points of other frames
-/// pass below them, where the part would be if it were there, and these points are brighter by far, so that it is they
-/// that are the surface. `points` are in the order of frames, then columns; `scanned` are all frames of the scan, in
+/// Sets [`Flags::GHOST`] of points that would hide at least two of other frames which are far brighter: from these to the
+/// camera, light passes below them, where the part's inside would be. One of the two is then no surface, and mostly it is
+/// the fainter one. `points` are in the order of frames, then columns; `scanned` are all frames of the scan, in
 /// order.
 ///
 /// A point is above a line of sight by more than its uncertainty and than where its light may lie beside the sheet.
@@ -30,6 +30,9 @@ pub fn compare_lines_of_sight(
     scanned: &[(u32, HeadPose)],
     laser: &Laser,
 ) {
+    if laser.fan.is_none() {
+        return;
+    }
     let valid = points.iter().filter(|point| point.is_valid());
     let brightest = valid.fold(0.0, |most: f64, point| most.max(point.intensity));
     let of_frame = |&(frame, pose): &(u32, HeadPose)| {
@@ -38,9 +41,6 @@ pub fn compare_lines_of_sight(
         Profile::new(points, range, &pose, FAINTER * brightest)
     };
     let profiles: Vec<Profile> = scanned.par_iter().map(of_frame).collect();
-    if laser.fan.is_none() {
-        return;
-    }
     let sight = LinesOfSight {
         points,
         top: profiles.iter().map(|p| p.top).fold(f64::INFINITY, f64::min),
