@@ -10,7 +10,6 @@
 #[path = "../tests/plates/mod.rs"]
 mod plates;
 
-use lasertrace::frame::Reflections;
 use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::profile::Flags;
@@ -52,12 +51,11 @@ fn main() {
     };
     let _ = write!(
         page,
-        "\n## {set} scenes\n\nOf seed {}. \"Without any flag\" are reflections that nothing marks as doubtful, neither GHOST nor \
+        "\n## {set} scenes\n\nOf seed {seed}. \"Without any flag\" are reflections that nothing marks as doubtful, neither GHOST nor \
          another flag.\n\n\
          | scenes | points | reflections | of them found | without any flag | good points flagged | reflections alone | of them \
          found |\n\
-         |---|---|---|---|---|---|---|---|\n",
-        seed,
+         |---|---|---|---|---|---|---|---|\n"
     );
     let (rows, points) = table(seed);
     page += &rows;
@@ -92,8 +90,8 @@ struct Tally {
     ghosts: [u32; 2],
     /// Reflections that are the only line of their column.
     alone: [u32; 2],
-    /// Reflections by whether another flag or this one makes them doubtful.
-    doubtful: [u32; 2],
+    /// Reflections that have a flag, and those that have none.
+    unmarked: [u32; 2],
 }
 
 impl Tally {
@@ -102,7 +100,7 @@ impl Tally {
             self.good[i] += other.good[i];
             self.ghosts[i] += other.ghosts[i];
             self.alone[i] += other.alone[i];
-            self.doubtful[i] += other.doubtful[i];
+            self.unmarked[i] += other.unmarked[i];
         }
     }
 
@@ -144,7 +142,7 @@ impl std::fmt::Display for Tally {
             sum(self.good) + sum(self.ghosts),
             sum(self.ghosts),
             percent(self.ghosts),
-            percent([self.doubtful[1], self.doubtful[0]]),
+            percent(self.unmarked),
             percent(self.good),
             sum(self.alone),
             percent(self.of_all_ghosts()),
@@ -208,12 +206,8 @@ frames = {FRAMES}
     );
     let scene = Scene::parse(&text, folder.path()).unwrap();
     let mut simulation = Simulation::new(&scene).unwrap();
-    let fewer = |all: Reflections| Reflections {
-        from_laser: (PATHS * f64::from(all.from_laser)) as u32,
-        per_pixel: PATHS * all.per_pixel,
-        ..all
-    };
-    simulation.plan.reflections = simulation.plan.reflections.map(fewer);
+    let planned = simulation.plan.reflections;
+    simulation.plan.reflections = planned.map(|paths| paths.times(PATHS));
     tally(&scanned(&simulation))
 }
 
@@ -236,7 +230,7 @@ fn tally(points: &[CloudPoint]) -> Tally {
             tally.good[flagged] += 1;
         } else {
             tally.ghosts[flagged] += 1;
-            tally.doubtful[usize::from(!point.is_valid())] += 1;
+            tally.unmarked[usize::from(point.is_valid())] += 1;
             if !point.flags.contains(Flags::DOUBLE) {
                 tally.alone[flagged] += 1;
             }

@@ -217,6 +217,7 @@ def main():
     else:
         print("no real part: ../shared/data is absent", flush=True)
     good = [compare(name, program, out, *rest, samples) for name, *rest in cases]
+    print("%d of %d scenes" % (sum(good), len(good)))
     sys.exit(0 if all(good) else 1)
 
 

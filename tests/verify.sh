@@ -142,39 +142,31 @@ for target in stl ply obj scene poses calibration png; do
     fi
 done
 
-name='light reflected more than once, against Mitsuba 3'
-command='python3 tests/against_mitsuba.py target/release/examples/light_apart out/verify/mitsuba'
-goal='totals and rows of corners, a pocket and a real part within 1 % and 5 standard errors'
-if [ "$page" = "$out/small.md" ]; then
-    skip "$name" "$goal" 'not in the small form' "$command"
-elif ! python3 -c 'import mitsuba, numpy' 2>/dev/null; then
-    skip "$name" "$goal" 'no mitsuba and numpy for python3 (pip install mitsuba)' "$command"
-else
-    try build cargo build --release --example light_apart
-    # shellcheck disable=SC2086
-    try mitsuba $command
-    row "$name" "$(grep -c ': yes$' "$log") of $(grep -c ' over light reflected once' "$log") scenes" "$goal" "$met" "$command"
-fi
-
-# A script that takes Mitsuba's LLVM form and prints its figure last: check, goal, name of the log, arguments
+# A script that takes a form of Mitsuba and prints its figure last: check, goal, form, name of the log, arguments; then
+# what is built
 with_mitsuba() {
-    command="python3 $4"
+    check=$1 goal=$2 form=$3 log_name=$4 command="python3 $5"
+    shift 5
     if [ "$page" = "$out/small.md" ]; then
-        skip "$1" "$2" 'not in the small form' "$command"
-    elif ! python3 -c 'import mitsuba; mitsuba.set_variant("llvm_ad_mono")' 2>/dev/null; then
-        skip "$1" "$2" 'no mitsuba with LLVM for python3 (pip install mitsuba, apt install libllvm)' "$command"
+        skip "$check" "$goal" 'not in the small form' "$command"
+    elif ! python3 -c "import mitsuba, numpy; mitsuba.set_variant('$form')" 2>/dev/null; then
+        skip "$check" "$goal" "no mitsuba and numpy for python3 with $form (pip install mitsuba; LLVM: apt install libllvm)" "$command"
     else
-        try build cargo build --release
+        try build cargo build --release "$@"
         # shellcheck disable=SC2086
-        try "$3" $command
-        row "$1" "$(tail -n 1 "$log")" "$2" "$met" "$command"
+        try "$log_name" $command
+        row "$check" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
     fi
 }
 
+with_mitsuba 'light reflected more than once, against Mitsuba 3' \
+    'totals and rows of corners, a pocket and a real part within 1 % and 5 standard errors' \
+    scalar_rgb mitsuba 'tests/against_mitsuba.py target/release/examples/light_apart out/verify/mitsuba' \
+    --example light_apart
 with_mitsuba 'frames while Mitsuba 3 renders the direct light of one' 'the same line is seen; 100 are aimed at' \
-    speed 'tests/frames_against_mitsuba.py target/release/lasertrace out/verify/speed'
+    llvm_ad_mono speed 'tests/frames_against_mitsuba.py target/release/lasertrace out/verify/speed'
 with_mitsuba 'the chart with Mitsuba 3 as a point' '95 of 100 points of the full model are found in its images' \
-    chart 'tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
+    llvm_ad_mono chart 'tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
 
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'

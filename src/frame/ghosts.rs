@@ -38,7 +38,7 @@ pub struct Reflections {
 
 impl Reflections {
     /// The same with so many times the paths.
-    pub(crate) fn times(self, times: f64) -> Reflections {
+    pub fn times(self, times: f64) -> Reflections {
         Reflections {
             from_laser: (times * self.from_laser as f64) as u32,
             per_pixel: times * self.per_pixel,

@@ -4,6 +4,7 @@ use crate::math::DVec3;
 use crate::profile::Flags;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// One measured point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -51,4 +52,10 @@ impl CloudPoint {
     pub fn is_valid(&self) -> bool {
         self.flags.is_valid()
     }
+}
+
+/// Where the points of a frame are among those of a scan, which are in the order of frames.
+pub(super) fn of_frame(points: &[CloudPoint], frame: u32) -> Range<usize> {
+    let before = |frame: u32| points.partition_point(|point| point.frame < frame);
+    before(frame)..before(frame + 1)
 }

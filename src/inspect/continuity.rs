@@ -1,6 +1,6 @@
 //! Whether the surface goes on where one frame alone cannot tell.
 
-use super::cloud::CloudPoint;
+use super::cloud::{CloudPoint, of_frame};
 use super::coverage::HeadPose;
 use crate::laser::Laser;
 use crate::math::DVec3;
@@ -36,11 +36,10 @@ const HALF: f64 = 0.5;
 /// It is set where the surface ends to one side and half the light is missing beside the frame to
 /// the other: an edge may cut the whole line, and nothing in its frame shows it.
 pub fn compare_frames(points: &mut [CloudPoint], scanned: &[(u32, HeadPose)], laser: &Laser) {
-    let before = |frame: u32| points.partition_point(|p| p.frame < frame);
-    let of_frame = |&(frame, _): &(u32, HeadPose)| before(frame)..before(frame + 1);
+    let of_frames = scanned.iter().map(|&(frame, _)| of_frame(points, frame));
     let cloud = Cloud {
         points,
-        of_frames: scanned.iter().map(of_frame).collect(),
+        of_frames: of_frames.collect(),
         scanned,
         laser,
     };

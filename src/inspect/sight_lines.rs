@@ -1,6 +1,6 @@
 //! Points that would hide what other frames see behind them.
 
-use super::cloud::CloudPoint;
+use super::cloud::{CloudPoint, of_frame};
 use super::continuity::APART;
 use super::coverage::HeadPose;
 use crate::laser::Laser;
@@ -12,10 +12,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Standard uncertainties by which a point is above a line of sight at least: one of 30 000 is by chance.
 const SIGMAS: f64 = 4.0;
-/// Of the light of what is seen behind it a point that is no surface has less than this share: most of what is reflected
-/// twice is fainter by far, while speckle and slopes of one surface make light differ by less in most places.
+/// A point is doubted if it has less than this share of the light of what is seen behind it. Chosen on the development
+/// scenes of `examples/ghost_flags.rs`, and counted on others.
 const FAINTER: f64 = 0.2;
-/// Points behind it that say so at least: one may be a reflection itself.
+/// Points behind it that say so at least, as one may be a reflection itself; chosen on the same scenes.
 const FEWEST: u32 = 2;
 
 /// Sets [`Flags::GHOST`] of points that would hide at least two of other frames which are far brighter: from these to the
@@ -35,12 +35,10 @@ pub fn compare_lines_of_sight(
     }
     let valid = points.iter().filter(|point| point.is_valid());
     let brightest = valid.fold(0.0, |most: f64, point| most.max(point.intensity));
-    let of_frame = |&(frame, pose): &(u32, HeadPose)| {
-        let before = |frame: u32| points.partition_point(|p| p.frame < frame);
-        let range = before(frame)..before(frame + 1);
-        Profile::new(points, range, &pose, FAINTER * brightest)
+    let profile = |(frame, pose): &(u32, HeadPose)| {
+        Profile::new(points, of_frame(points, *frame), pose, FAINTER * brightest)
     };
-    let profiles: Vec<Profile> = scanned.par_iter().map(of_frame).collect();
+    let profiles: Vec<Profile> = scanned.par_iter().map(profile).collect();
     let sight = LinesOfSight {
         points,
         top: profiles.iter().map(|p| p.top).fold(f64::INFINITY, f64::min),

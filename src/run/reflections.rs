@@ -92,7 +92,7 @@ impl MetAgain {
 
     /// Most reflections that are followed: those the scene names; else of matt parts one, of others so many that
     /// further ones carry less than [`REST`].
-    pub fn most(&self, scene: &Scene) -> u32 {
+    fn most(&self, scene: &Scene) -> u32 {
         let methods = &scene.methods;
         let share = match self.share {
             Some(share) if share > 0.0 && methods.geometry_only != Some(true) => share,
