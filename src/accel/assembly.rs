@@ -2,7 +2,7 @@
 //! its hierarchy.
 
 use super::copies::{self, Copies};
-use super::hierarchy::{Backend, Hierarchy};
+use super::hierarchy::{Backend, Hierarchy, Unsettled};
 use super::{Clusters, Face, Found, HalfSpace, Hit, Nearest, Ray, WIDTH};
 use crate::error::{Error, Result};
 use crate::math::{Aabb, DVec3, Rigid};
@@ -210,6 +210,51 @@ impl Accel {
                 let wanted = |i: usize, t| some >> i & 1 == 1 && wanted(i, t);
                 self.closest_of(copies, rays, anywhere, wanted)
             }
+        }
+    }
+
+    /// Calls `each` with what the rays of each packet meet, as [`Self::closest`] has it, packet by
+    /// packet. The memory with the triangles of one packet is on its way while the next are traced.
+    #[doc(hidden)]
+    pub fn closest_in_turn<P: AsRef<[Ray]>>(
+        &self,
+        packets: impl Iterator<Item = P>,
+        each: impl FnMut(&[Option<Hit>; WIDTH]),
+    ) {
+        self.trace_in_turn(packets, false, each);
+    }
+
+    /// The same of rays that start outside the part, or `anywhere`.
+    pub(super) fn trace_in_turn<P: AsRef<[Ray]>>(
+        &self,
+        packets: impl Iterator<Item = P>,
+        anywhere: bool,
+        mut each: impl FnMut(&[Option<Hit>; WIDTH]),
+    ) {
+        let all = |_, _| true;
+        if self.copies.is_some() {
+            return packets
+                .for_each(|rays| each(&self.trace(rays.as_ref(), u16::MAX, anywhere, all)));
+        }
+        // One is traced, one before it waits for its triangles, and one for their corners.
+        let mut found: [Unsettled; 3] = Default::default();
+        let mut count = 0;
+        for rays in packets {
+            let [this, last, before] = [0, 2, 1].map(|back| (count + back) % 3);
+            (self.hierarchy).find(rays.as_ref(), u16::MAX, anywhere, all, &mut found[this]);
+            if count > 0 {
+                self.hierarchy.fetch(&mut found[last]);
+            }
+            if count > 1 {
+                each(&self.hierarchy.settle(&found[before], all));
+            }
+            count += 1;
+        }
+        if let Some(last) = count.checked_sub(1) {
+            self.hierarchy.fetch(&mut found[last % 3]);
+        }
+        for packet in count.saturating_sub(2)..count {
+            each(&self.hierarchy.settle(&found[packet % 3], all));
         }
     }
 

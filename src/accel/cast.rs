@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::math::DVec3;
 use crate::mesh::LARGEST_MM;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 
 /// A place on the part, as [`Accel::closest_hits`] and [`Accel::nearest_points`] write it:
 /// 56 bytes, laid out as in C.
@@ -45,12 +46,8 @@ impl SurfacePoint {
 /// Lengths of directions that are taken.
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-100..=1e100;
 
-/// Packets of rays below which a thread takes no share of its own.
-const LEAST_PACKETS: usize = 16;
-
-/// Up to so many rays or points are done by the calling thread alone: to wake others takes
-/// longer.
-pub const CAST_ALONE: usize = LEAST_PACKETS * WIDTH;
+/// Up to so many rays or points are done by one thread: to wake another takes longer.
+pub const CAST_ALONE: usize = 16 * WIDTH;
 
 /// Times a ray that met something behind its origin is asked again.
 const ASKED_AGAIN: usize = 4;
@@ -124,9 +121,9 @@ impl Accel {
         points: impl Fn(usize) -> DVec3 + Sync,
         nearest: &mut [SurfacePoint],
     ) -> Result<()> {
-        in_packets(nearest, SurfacePoint::NOTHING, |first, packet| {
+        in_shares(nearest, SurfacePoint::NOTHING, |first, share| {
             let mut close = None;
-            for (i, out) in (first..).zip(packet) {
+            for (i, out) in (first..).zip(share) {
                 let p = points(i);
                 check_place(p).map_err(|what| (i, format!("point {i}: {what}")))?;
                 let found = self.nearest(p, close);
@@ -148,45 +145,45 @@ impl Accel {
         answer: impl Fn(Option<Hit>, f64) -> T + Sync,
     ) -> Result<()> {
         let rounding = self.largest_coordinate() * 2f64.powi(-48);
-        in_packets(out, nothing, |first, packet| {
-            let (mut unit, mut lengths) = ([Ray::NONE; WIDTH], [1.0; WIDTH]);
-            for k in 0..packet.len() {
-                let i = first + k;
-                (unit[k], lengths[k]) =
-                    normalized(rays(i)).map_err(|what| (i, format!("ray {i}: {what}")))?;
+        in_shares(out, nothing, |first, out| {
+            let mut unit = Vec::with_capacity(out.len());
+            for i in first..first + out.len() {
+                let ray = normalized(rays(i)).map_err(|what| (i, format!("ray {i}: {what}")))?;
+                unit.push(ray);
             }
-            let hits = self.settled(&unit[..packet.len()], rounding);
-            for (k, out) in packet.iter_mut().enumerate() {
-                *out = answer(hits[k], lengths[k]);
-            }
+            let packets = unit.chunks(WIDTH).map(|rays| {
+                let further = rays.iter().map(|(ray, _)| self.further(ray));
+                further.collect::<SmallVec<[Ray; WIDTH]>>()
+            });
+            let mut asked = unit.iter().zip(out);
+            self.trace_in_turn(packets, true, |hits| {
+                for (hit, ((ray, length), out)) in hits.iter().zip(asked.by_ref().take(WIDTH)) {
+                    *out = answer(self.settled(*hit, ray, rounding), *length);
+                }
+            });
             Ok(())
         })
     }
 
-    /// The closest hits of a packet from 0 to `t_max` in f64: the backend may be off at both
-    /// ends by what f32 rounds. A hit so little behind the origin is one at it.
-    fn settled(&self, rays: &[Ray], rounding: f64) -> [Option<Hit>; WIDTH] {
-        let mut further = [Ray::NONE; WIDTH];
-        for (further, ray) in further.iter_mut().zip(rays) {
-            *further = Ray {
-                t_max: ray.t_max + self.refinement(),
-                ..*ray
-            };
+    /// As far as the backend may be off by what f32 rounds.
+    fn further(&self, ray: &Ray) -> Ray {
+        Ray {
+            t_max: ray.t_max + self.refinement(),
+            ..*ray
         }
-        let mut hits = self.trace(&further[..rays.len()], u16::MAX, true, |_, _| true);
-        for ((hit, further), ray) in hits.iter_mut().zip(&further).zip(rays) {
-            if hit.is_some_and(|hit| hit.t < 0.0) {
-                *hit = match hit.filter(|hit| hit.t >= -rounding) {
-                    Some(at_origin) => Some(Hit {
-                        t: 0.0,
-                        ..at_origin
-                    }),
-                    None => self.ahead(further),
-                };
-            }
-            *hit = hit.filter(|hit| hit.t <= ray.t_max);
-        }
-        hits
+    }
+
+    /// The closest hit from 0 to `t_max` in f64, of what the ray meets [`Self::further`]. A hit
+    /// behind the origin by no more than f64 rounds is one at it.
+    fn settled(&self, hit: Option<Hit>, ray: &Ray, rounding: f64) -> Option<Hit> {
+        let hit = match hit? {
+            behind if behind.t < -rounding => self.ahead(&self.further(ray))?,
+            hit => Hit {
+                t: hit.t.max(0.0),
+                ..hit
+            },
+        };
+        (hit.t <= ray.t_max).then_some(hit)
     }
 
     /// What a ray meets that first met something behind its origin, which f32 took to lie
@@ -221,28 +218,18 @@ impl Accel {
     }
 }
 
-impl Ray {
-    /// What stands in a packet where no ray does.
-    const NONE: Ray = Ray {
-        origin: DVec3::ZERO,
-        direction: DVec3::Z,
-        t_max: 0.0,
-    };
-}
-
-/// Fills `out` a packet at a time, on all threads. Of several errors that with the lowest
+/// Fills `out` a share at a time, on all threads. Of several errors that with the lowest
 /// number is given, whatever thread met it, and `out` is `nothing` then.
-fn in_packets<T: Copy + Send + Sync>(
+fn in_shares<T: Copy + Send + Sync>(
     out: &mut [T],
     nothing: T,
     fill: impl Fn(usize, &mut [T]) -> std::result::Result<(), (usize, String)> + Sync,
 ) -> Result<()> {
-    let fill = |(packet, out): (usize, &mut [T])| fill(packet * WIDTH, out).err();
     let wrong = if out.len() <= CAST_ALONE {
-        out.chunks_mut(WIDTH).enumerate().find_map(fill)
+        fill(0, out).err()
     } else {
-        let packets = out.par_chunks_mut(WIDTH).with_min_len(LEAST_PACKETS);
-        let wrong = packets.enumerate().filter_map(fill);
+        let shares = out.par_chunks_mut(CAST_ALONE).enumerate();
+        let wrong = shares.filter_map(|(share, out)| fill(share * CAST_ALONE, out).err());
         wrong.min_by_key(|&(number, _)| number)
     };
     match wrong {

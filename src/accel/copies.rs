@@ -9,6 +9,7 @@ use super::part_box::PartBox;
 use super::rust_bvh::tree_over;
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3, Rigid};
+use multiversion::multiversion;
 use obvhs::BvhBuildParams;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::node::Bvh2Node;
@@ -85,31 +86,46 @@ impl Packet {
         let far = |part| eight(&self.reach, part).simd_ge(distance).to_bitmask() as u16;
         far(0) | far(1) << 8
     }
+}
 
-    /// Which rays meet a box, as bits, and the least distance at which one enters it.
-    fn meets(&self, node: &Bvh2Node) -> (u16, f32) {
-        let mut met = 0;
-        let mut least = f32x8::splat(f32::INFINITY);
-        for part in 0..2 {
-            let (mut enter, mut leave) = (f32x8::ZERO, eight(&self.reach, part));
-            for axis in 0..3 {
-                let origin = eight(&self.origin[axis], part);
-                let inverse = eight(&self.inverse[axis], part);
-                let a = (f32x8::splat(node.min[axis]) - origin) * inverse;
-                let b = (f32x8::splat(node.max[axis]) - origin) * inverse;
-                enter = enter.fast_max(a.fast_min(b));
-                leave = leave.fast_min(a.fast_max(b));
-            }
-            let inside = enter.simd_le(leave);
-            met |= (inside.to_bitmask() as u16) << (8 * part);
-            least = least.fast_min(inside.select(enter, f32x8::splat(f32::INFINITY)));
-        }
-        // In three steps, not in a chain of eight.
-        let [a, b, c, d, e, f, g, h] = least.to_array();
-        let less = |a: f32, b: f32| if a < b { a } else { b };
-        let least = less(less(less(a, b), less(c, d)), less(less(e, f), less(g, h)));
-        (met, least)
+/// Of each of two boxes, which rays of the packet meet it, as bits, and the least distance at which one enters it.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
+fn meet_both(packet: &Packet, boxes: [&Bvh2Node; 2]) -> [(u16, f32); 2] {
+    let mut both = [(0, 0.0); 2];
+    for (node, met) in boxes.into_iter().zip(&mut both) {
+        *met = meet(packet, node);
     }
+    both
+}
+
+#[inline(always)]
+fn meet(packet: &Packet, node: &Bvh2Node) -> (u16, f32) {
+    let less = |a: f32, b: f32| if a < b { a } else { b };
+    let more = |a: f32, b: f32| if a > b { a } else { b };
+    let (mut enter, mut leave) = ([0.0; WIDTH], packet.reach);
+    for axis in 0..3 {
+        let (low, high) = (node.min[axis], node.max[axis]);
+        for i in 0..WIDTH {
+            let (origin, inverse) = (packet.origin[axis][i], packet.inverse[axis][i]);
+            let (a, b) = ((low - origin) * inverse, (high - origin) * inverse);
+            enter[i] = more(enter[i], less(a, b));
+            leave[i] = less(leave[i], more(a, b));
+        }
+    }
+    let mut met = 0;
+    let mut least = f32x8::splat(f32::INFINITY);
+    for part in 0..2 {
+        let enter = eight(&enter, part);
+        let inside = enter.simd_le(eight(&leave, part));
+        met |= (inside.to_bitmask() as u16) << (8 * part);
+        least = least.fast_min(inside.select(enter, f32x8::splat(f32::INFINITY)));
+    }
+    // In three steps, not in a chain of eight.
+    let [a, b, c, d, e, f, g, h] = least.to_array();
+    (
+        met,
+        less(less(less(a, b), less(c, d)), less(less(e, f), less(g, h))),
+    )
 }
 
 /// The first or the second eight rays. (Not by `map` or from a slice, which stay calls.)
@@ -182,10 +198,9 @@ impl Copies {
             match self.below(index) {
                 Below::Copy(copy) => met(copy, rays, &mut packet),
                 Below::Nodes(children) => {
-                    let [a, b] = children.map(|child| {
-                        let (rays, least) = packet.meets(&self.tree.nodes[child as usize]);
-                        (child, rays, least)
-                    });
+                    let boxes = children.map(|child| &self.tree.nodes[child as usize]);
+                    let [a, b] = meet_both(&packet, boxes);
+                    let [a, b] = [(children[0], a.0, a.1), (children[1], b.0, b.1)];
                     let (near, far) = if b.2 < a.2 { (b, a) } else { (a, b) };
                     stack.extend([far, near]);
                 }

@@ -1,11 +1,10 @@
 //! The hierarchy over a mesh: a backend finds the triangle, and what is done in f64
 //! around it is the same for all backends.
 
+use super::ask_for::ask_for;
 #[cfg(feature = "embree")]
 use super::astray::{Doubt, Doubts};
-use super::lanes::Lanes;
-#[cfg(feature = "embree")]
-use super::lanes::Lanes3;
+use super::lanes::{Lane, Lanes, Lanes3};
 use super::part_box::PartBox;
 #[cfg(feature = "embree")]
 use super::part_box::Side;
@@ -69,10 +68,6 @@ impl Backend {
     }
 }
 
-/// Packets that 16 rays may be traced in.
-#[cfg(feature = "embree")]
-const PACKETS: usize = 2;
-
 enum Tree {
     #[cfg(feature = "embree")]
     Embree(embree::Tree),
@@ -84,6 +79,50 @@ pub(super) struct Hierarchy {
     mesh: Arc<Mesh>,
     part: PartBox,
     tree: Tree,
+}
+
+/// What a backend says that the rays of a packet meet. Rays are bits.
+#[derive(Default)]
+pub(super) struct Unsettled {
+    lanes: Lanes,
+    /// Those that are asked for.
+    some: u16,
+    /// Those of these that start inside the mesh.
+    inside: u16,
+    /// Those that meet something, and those of these that meet the back of a triangle.
+    met: u16,
+    backs: u16,
+    /// Those that are asked for and meet something wanted.
+    wanted: u16,
+    triangles: [u32; WIDTH],
+    t: Lane,
+    /// Of the triangles of those that are wanted, once they are read.
+    vertices: [[u32; 3]; WIDTH],
+}
+
+#[cfg(feature = "embree")]
+impl Unsettled {
+    /// Rays that meet the side of a triangle which cannot be the first they meet.
+    fn astray(&self) -> u16 {
+        self.met & (self.backs ^ self.inside)
+    }
+
+    /// Rays that meet nothing and should.
+    fn lost(&self) -> u16 {
+        self.inside & !self.met
+    }
+}
+
+/// The rays of the set bits.
+#[inline(always)]
+fn rays_of(mut bits: u16) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let ray = bits.trailing_zeros() as usize;
+        (bits != 0).then(|| {
+            bits &= bits - 1;
+            ray
+        })
+    })
 }
 
 impl Hierarchy {
@@ -130,77 +169,154 @@ impl Hierarchy {
         anywhere: bool,
         wanted: impl Fn(usize, f64) -> bool,
     ) -> [Option<Hit>; WIDTH] {
-        let mut hits = [None; WIDTH];
-        #[cfg(not(feature = "embree"))]
-        let _ = anywhere;
-        let lanes = Lanes::new(rays);
+        let mut found = Unsettled::default();
+        self.find(rays, some, anywhere, &wanted, &mut found);
+        self.fetch(&mut found);
+        self.settle(&found, wanted)
+    }
+
+    /// What the backend says that rays meet, of those that are `wanted`, for [`Self::fetch`] and then
+    /// [`Self::settle`]. Memory that the one reads has been asked for.
+    #[inline(always)]
+    pub fn find(
+        &self,
+        rays: &[Ray],
+        some: u16,
+        anywhere: bool,
+        wanted: impl Fn(usize, f64) -> bool,
+        found: &mut Unsettled,
+    ) {
+        found.lanes.set(rays);
+        (found.some, found.inside) = (some, 0);
+        (found.met, found.backs, found.wanted) = (0, 0, 0);
+        let Unsettled {
+            lanes,
+            met,
+            backs,
+            triangles,
+            t: t_found,
+            ..
+        } = found;
+        let meets = |ray: usize, triangle: u32, t: f64| {
+            ask_for(&self.mesh.triangles, triangle);
+            *met |= 1 << ray;
+            (triangles[ray], t_found[ray]) = (triangle, t);
+        };
         match &self.tree {
             #[cfg(feature = "embree")]
             Tree::Embree(tree) => {
-                let wanted = |ray: usize, t: f64| some >> ray & 1 == 1 && wanted(ray, t);
-                let inside = match anywhere {
-                    true => tree.starting_inside(rays, &self.part) & some,
-                    false => 0,
-                };
-                // By the packets of rays that are traced together.
-                let mut doubts: [Doubts; PACKETS] = Default::default();
-                let (mut met, mut triangles, mut t_found) = (0u16, [0; WIDTH], [0.0; WIDTH]);
-                let mut lost = inside;
-                tree.closest(&lanes, some, &self.part, |ray, triangle, t, side| {
-                    let doubt = Doubt { ray, triangle, t };
-                    lost &= !(1 << ray);
-                    if (side == Side::Back) != (inside >> ray & 1 == 1) {
-                        doubts[ray / tree.together()].astray.push(doubt);
-                    }
-                    met |= u16::from(wanted(ray, t)) << ray;
-                    (triangles[ray], t_found[ray]) = (triangle, t);
+                let mut meets = meets;
+                tree.closest(lanes, some, &self.part, |ray, triangle, t, side| {
+                    meets(ray, triangle, t);
+                    *backs |= u16::from(side == Side::Back) << ray;
                 });
-                for ray in (0..rays.len()).filter(|ray| lost >> ray & 1 == 1) {
-                    let nothing = Doubt::of_nothing(ray, &rays[ray]);
-                    doubts[ray / tree.together()].astray.push(nothing);
-                }
-                let met = || (0..rays.len()).filter(|ray| met >> ray & 1 == 1);
-                // All are read before the first is looked at: a packet waits for memory
-                // twice then, and not twice a ray.
-                let mut vertices = [[0; 3]; WIDTH];
-                for ray in met() {
-                    vertices[ray] = self.mesh.triangles[triangles[ray] as usize];
-                }
-                let mut corners = [Lanes3::ZERO; 3];
-                for ray in met() {
-                    for (corners, vertex) in corners.iter_mut().zip(vertices[ray]) {
-                        corners.set(ray, self.mesh.positions[vertex as usize]);
-                    }
-                }
-                let tolerance = self.part.tolerance();
-                let meetings = lanes.meet(&corners, &t_found, tolerance.along);
-                for ray in met() {
-                    let (triangle, t) = (triangles[ray], t_found[ray]);
-                    if let Some(meeting) = meetings.get(ray) {
-                        hits[ray] = Some(meeting.hit(triangle));
-                        continue;
-                    }
-                    let corners = corners.map(|corners| corners.get(ray));
-                    hits[ray] = refine(&rays[ray], triangle, corners, t, tolerance).hit();
-                    let t = hits[ray].map_or(t, |hit: Hit| hit.t);
-                    let doubts = &mut doubts[ray / tree.together()];
-                    doubts.passed.push(Doubt { ray, triangle, t });
-                }
-                for doubts in doubts.iter_mut().filter(|doubts| !doubts.is_empty()) {
-                    doubts.settle(tree, &self.part, rays, inside, |ray, hit| {
-                        hits[ray] = hit.filter(|hit| wanted(ray, hit.t));
-                    });
+                if anywhere {
+                    found.inside = tree.starting_inside(rays, &self.part) & some;
                 }
             }
-            Tree::Rust(tree) => tree.closest(rays, &lanes, &self.part, |i, triangle, t| {
-                if some >> i & 1 == 1 && wanted(i, t) {
-                    let corners = self.mesh.triangle(triangle as usize);
-                    let tolerance = self.part.final_tolerance();
-                    hits[i] = refine(&rays[i], triangle, corners, t, tolerance).hit();
-                }
-            }),
+            Tree::Rust(tree) => tree.closest(rays, lanes, &self.part, meets),
         }
+        #[cfg(not(feature = "embree"))]
+        let _ = (anywhere, backs);
+        for ray in rays_of(found.met & some) {
+            found.wanted |= u16::from(wanted(ray, found.t[ray])) << ray;
+        }
+    }
+
+    /// Reads which vertices the triangles have, and asks for the memory in which they are, so that
+    /// [`Self::settle`] need not wait for it.
+    #[inline(always)]
+    pub fn fetch(&self, found: &mut Unsettled) {
+        for ray in rays_of(found.wanted) {
+            let vertices = self.mesh.triangles[found.triangles[ray] as usize];
+            found.vertices[ray] = vertices;
+            for vertex in vertices {
+                ask_for(&self.mesh.positions, vertex);
+            }
+        }
+    }
+
+    /// What was found, in f64.
+    #[inline(always)]
+    pub fn settle(
+        &self,
+        found: &Unsettled,
+        wanted: impl Fn(usize, f64) -> bool,
+    ) -> [Option<Hit>; WIDTH] {
+        let mut hits = [None; WIDTH];
+        let mut corners = [Lanes3::ZERO; 3];
+        for ray in rays_of(found.wanted) {
+            for (corners, vertex) in corners.iter_mut().zip(found.vertices[ray]) {
+                corners.set(ray, self.mesh.positions[vertex as usize]);
+            }
+        }
+        let tolerance = match &self.tree {
+            #[cfg(feature = "embree")]
+            Tree::Embree(_) => self.part.tolerance(),
+            Tree::Rust(_) => self.part.final_tolerance(),
+        };
+        let meetings = found.lanes.meet(&corners, &found.t, tolerance.along);
+        let mut passed = 0;
+        for ray in rays_of(found.wanted) {
+            let (triangle, t) = (found.triangles[ray], found.t[ray]);
+            hits[ray] = match meetings.get(ray) {
+                Some(meeting) => Some(meeting.hit(triangle)),
+                None => {
+                    passed |= 1 << ray;
+                    let corners = corners.map(|corners| corners.get(ray));
+                    refine(&found.lanes.ray(ray), triangle, corners, t, tolerance).hit()
+                }
+            };
+        }
+        #[cfg(feature = "embree")]
+        if let Tree::Embree(tree) = &self.tree
+            && passed | found.astray() | found.lost() != 0
+        {
+            self.settle_doubts(tree, found, passed, &mut hits, wanted);
+        }
+        #[cfg(not(feature = "embree"))]
+        let _ = (passed, wanted);
         hits
+    }
+
+    /// Settles what f32 leaves in doubt, by the packets of rays that were traced together.
+    #[cfg(feature = "embree")]
+    #[cold]
+    fn settle_doubts(
+        &self,
+        tree: &embree::Tree,
+        found: &Unsettled,
+        passed: u16,
+        hits: &mut [Option<Hit>; WIDTH],
+        wanted: impl Fn(usize, f64) -> bool,
+    ) {
+        let rays: [Ray; WIDTH] = std::array::from_fn(|i| found.lanes.ray(i));
+        for first in (0..WIDTH).step_by(tree.together()) {
+            let here = u16::MAX >> (WIDTH - tree.together()) << first;
+            let doubt = |ray| Doubt {
+                ray,
+                triangle: found.triangles[ray],
+                t: found.t[ray],
+            };
+            let in_f64 = |ray: usize| Doubt {
+                t: hits[ray].map_or(found.t[ray], |hit| hit.t),
+                ..doubt(ray)
+            };
+            let nothing = rays_of(found.lost() & here);
+            let nothing = nothing.map(|ray| Doubt::of_nothing(ray, &rays[ray]));
+            let mut doubts = Doubts {
+                passed: rays_of(passed & here).map(in_f64).collect(),
+                astray: rays_of(found.astray() & here)
+                    .map(doubt)
+                    .chain(nothing)
+                    .collect(),
+            };
+            if !doubts.is_empty() {
+                doubts.settle(tree, &self.part, &rays, found.inside, |ray, hit| {
+                    hits[ray] = hit.filter(|hit| found.some >> ray & 1 == 1 && wanted(ray, hit.t));
+                });
+            }
+        }
     }
 
     /// See [`super::Accel::occluded`].

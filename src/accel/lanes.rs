@@ -5,7 +5,6 @@
 use super::part_box::PartBox;
 #[cfg(feature = "embree")]
 use super::part_box::Together;
-#[cfg(feature = "embree")]
 use super::refine::{Meeting, meet};
 use super::{Ray, WIDTH};
 use crate::math::{Aabb, DVec3};
@@ -15,7 +14,7 @@ use multiversion::multiversion;
 pub(super) type Lane = [f64; WIDTH];
 
 /// One vector of each ray.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Lanes3([Lane; 3]);
 
 impl Lanes3 {
@@ -35,6 +34,7 @@ impl Lanes3 {
 }
 
 /// 1 to 16 rays; the last stands in the places of those that are missing.
+#[derive(Default)]
 pub(super) struct Lanes {
     origin: Lanes3,
     direction: Lanes3,
@@ -45,21 +45,33 @@ pub(super) struct Lanes {
 
 impl Lanes {
     pub fn new(rays: &[Ray]) -> Lanes {
+        let mut lanes = Lanes::default();
+        lanes.set(rays);
+        lanes
+    }
+
+    /// Takes these in the place of those there were.
+    pub fn set(&mut self, rays: &[Ray]) {
         assert!(rays.len() <= WIDTH, "a packet holds {WIDTH} rays");
-        let mut lanes = Lanes {
-            origin: Lanes3::ZERO,
-            direction: Lanes3::ZERO,
-            t_max: [0.0; WIDTH],
-            #[cfg(feature = "embree")]
-            count: rays.len(),
-        };
+        #[cfg(feature = "embree")]
+        {
+            self.count = rays.len();
+        }
         for i in 0..WIDTH {
             let ray = &rays[i.min(rays.len() - 1)];
-            lanes.origin.set(i, ray.origin);
-            lanes.direction.set(i, ray.direction);
-            lanes.t_max[i] = ray.t_max;
+            self.origin.set(i, ray.origin);
+            self.direction.set(i, ray.direction);
+            self.t_max[i] = ray.t_max;
         }
-        lanes
+    }
+
+    /// One of them.
+    pub fn ray(&self, i: usize) -> Ray {
+        Ray {
+            origin: self.origin.get(i),
+            direction: self.direction.get(i),
+            t_max: self.t_max[i],
+        }
     }
 
     /// The rays that there are, as bits.
@@ -92,7 +104,6 @@ impl Lanes {
 
     /// What the rays make of the triangles that they are said to meet at `t_found`, within
     /// `along`: see [`meet`].
-    #[cfg(feature = "embree")]
     #[inline(always)]
     pub fn meet(&self, corners: &[Lanes3; 3], t_found: &Lane, along: f64) -> Meetings {
         let mut meetings = Meetings {
@@ -188,7 +199,6 @@ fn extent(of: &Lanes3) -> [DVec3; 2] {
 }
 
 /// Of each ray a [`Meeting`].
-#[cfg(feature = "embree")]
 pub(super) struct Meetings {
     on: [u64; WIDTH],
     t: Lane,
@@ -196,7 +206,6 @@ pub(super) struct Meetings {
     normal: Lanes3,
 }
 
-#[cfg(feature = "embree")]
 impl Meetings {
     pub fn get(&self, i: usize) -> Option<Meeting> {
         (self.on[i] != 0).then(|| Meeting {
@@ -208,7 +217,6 @@ impl Meetings {
     }
 }
 
-#[cfg(feature = "embree")]
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl", "x86_64+avx2"))]
 fn meet_all(
     rays: &Lanes,

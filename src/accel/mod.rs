@@ -3,6 +3,7 @@
 //! doubt; `brute` is the slow oracle they are tested against.
 //! Everything here is in the part's own frame (mm).
 
+mod ask_for;
 mod assembly;
 #[cfg(feature = "embree")]
 mod astray;

@@ -11,7 +11,7 @@ use super::pixels::{Pixels, Rows, SIDE, middle};
 use super::rays::{Lit, LitRays, Met, Plane, Rays};
 use super::reference::Seen;
 use super::sight::Sight;
-use super::window::Window;
+use super::window::{Sorted, Window};
 use crate::accel::WIDTH;
 use crate::math::DVec2;
 use rayon::prelude::*;
@@ -28,7 +28,8 @@ pub enum Sampling {
     /// Where the rays through the centres of a pixel and its eight neighbours meet
     /// one plane under the same light, and surface and laser say that they are constant
     /// over the pixel, the samples lie on that plane, and the light is the centre's but
-    /// for the laser's profile across the line; elsewhere a ray for each. So the middle of
+    /// for the laser's profile across the line; where all of them meet surface beyond the light on one side of
+    /// the laser's sheet there is none; elsewhere a ray for each. So the middle of
     /// a flat piece costs one ray a pixel. What is thinner than a pixel and missed by nine
     /// centres is not seen.
     Planes,
@@ -347,15 +348,26 @@ impl Frame<'_> {
     ) {
         let wanted = self.rows.pixels.near_in_tile(band, first, 0);
         let size = [self.rows.pixels.columns, self.rows.pixels.rows];
-        let alike = match around {
-            0 => wanted,
+        let Sorted { dark, flat } = match around {
+            0 => Sorted {
+                dark: 0,
+                flat: wanted,
+            },
             _ => {
-                let alike = window.alike(band, first, size, wanted, self.rays.constant_turn());
-                match self.rays.are_mixed() {
-                    true => window.of_one_kind(band, first, size, alike),
-                    false => alike,
-                }
+                let is_sheet = self.rays.view.laser.fan.is_some();
+                window.sorted(
+                    band,
+                    first,
+                    size,
+                    wanted,
+                    is_sheet,
+                    self.rays.constant_turn(),
+                )
             }
+        };
+        let flat = match self.rays.are_mixed() && around > 0 {
+            true => window.of_one_kind(band, first, size, flat),
+            false => flat,
         };
         let pixels: [Pixel; WIDTH] = std::array::from_fn(|i| {
             let number = next[i / SIDE];
@@ -366,11 +378,11 @@ impl Frame<'_> {
             }
         });
         let met = window.tile(band, first);
-        let mut apart = wanted & !alike;
-        for i in (0..WIDTH).filter(|i| alike >> i & 1 == 1) {
+        let mut apart = wanted & !(dark | flat);
+        for i in (0..WIDTH).filter(|i| flat >> i & 1 == 1) {
             if let Met::Lit(lit, plane) = &met[i] {
-                let flat = self.flat(pixels[i], lit, plane, around > 0, task);
-                apart |= u16::from(!flat) << i;
+                let is_done = self.flat(pixels[i], lit, plane, around > 0, task);
+                apart |= u16::from(!is_done) << i;
             }
         }
         self.apart(&pixels, apart, task);

@@ -9,6 +9,7 @@ use crate::laser::gaussian;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::surface::{Kind, Surface};
 use smallvec::SmallVec;
+use std::cell::Cell;
 
 /// How far (beam radii) neighbours may lie beside the plane of a pixel, along its
 /// ray, for its samples to be taken from that plane: so much the line would seem
@@ -22,6 +23,10 @@ pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 #[derive(Clone, Copy)]
 pub(super) enum Met {
     Nothing,
+    /// Surface that is too far from the laser's sheet to be looked at, on its upper or lower side.
+    Far {
+        above: bool,
+    },
     /// Further from the middle of the beam than light is taken to reach.
     Dark(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
@@ -94,8 +99,7 @@ pub(super) struct LitRays<'a> {
     kinds: Vec<Scatters<'a>>,
     /// Normal of the laser's sheet.
     across: DVec3,
-    /// Hits higher than this over the sheet (mm) are as if nothing were hit: dark,
-    /// and their neighbours too but where a pixel is wider than the beam.
+    /// Hits further from the sheet than this (mm) are not looked at: they are dark.
     far: f64,
 }
 
@@ -212,16 +216,28 @@ impl<'a> LitRays<'a> {
     /// What rays from the eye see, up to 16, that come from these places on the sensor;
     /// those that are not `wanted` (as bits) nothing.
     pub fn look(&self, places: &[DVec2], rays: &[Ray], wanted: u16, centers: &mut [Met]) {
+        // Rays that meet something too far from the sheet, as bits, by its side.
+        let far = [const { Cell::new(0u16) }; 2];
         let near_sheet = |i: usize, t: f64| {
             let climb = self.across.dot(rays[i].direction);
-            (self.from_laser.eye.y + t * climb).abs() <= self.far
+            let height = self.from_laser.eye.y + t * climb;
+            let is_near = height.abs() <= self.far;
+            if !is_near {
+                let side = &far[usize::from(height > 0.0)];
+                side.set(side.get() | 1 << i);
+            }
+            is_near
         };
         let hits = self.view.accel.closest_some(rays, wanted, near_sheet);
         let mut shadow_rays = Rays::new();
         let mut lit = [0; WIDTH];
         for (i, ray) in rays.iter().enumerate() {
             centers[i] = match &hits[i] {
-                None => Met::Nothing,
+                None => match far.each_ref().map(|side| side.get() >> i & 1 == 1) {
+                    [true, false] => Met::Far { above: false },
+                    [false, true] => Met::Far { above: true },
+                    _ => Met::Nothing,
+                },
                 Some(hit) => {
                     let (center, shadow_ray) = self.seen(hit, ray.direction, places[i]);
                     if let Some(ray) = shadow_ray {

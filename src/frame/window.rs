@@ -33,6 +33,15 @@ impl Band {
     }
 }
 
+/// Pixels of a tile, as bits, by what their centres and the eight around each see.
+pub(super) struct Sorted {
+    /// Nothing at all, or surface beyond the light, all on one side of the laser's sheet: where it lies on
+    /// both, a wall between that is seen nearly edge-on may be lit.
+    pub dark: u16,
+    /// Others: all one plane, and where light can reach two of them, both lit or neither.
+    pub flat: u16,
+}
+
 impl Window {
     /// Takes in the tiles of these first columns, from left to right, each as `centers`
     /// writes it, in the place of the band [`BANDS`] before.
@@ -60,29 +69,30 @@ impl Window {
         tile.expect("tiles are looked at after they are filled in")
     }
 
-    /// Which pixels of a tile see one plane with the eight around each, and where light
-    /// can reach two of them, both lit or neither, as bits; of those `wanted`. Past the
-    /// sensor's border (`size`, columns and rows) are no pixels. All tiles around those
-    /// wanted must have been filled in. `turn`: the greatest difference of their normals, if it is less
-    /// than elsewhere.
-    pub fn alike(
+    /// Sorts the pixels of a tile that are `wanted` (as bits) by what they see with the eight
+    /// around each. Past the sensor's border (`size`, columns and rows) are no pixels. All tiles
+    /// around those wanted must have been filled in. `is_sheet`: the laser is a line. `turn`: the greatest difference of normals on
+    /// one plane, if it is less than elsewhere.
+    pub fn sorted(
         &self,
         band: usize,
         first: usize,
         size: [usize; 2],
         wanted: u16,
+        is_sheet: bool,
         turn: Option<f32>,
-    ) -> u16 {
+    ) -> Sorted {
         let here = self.tile(band, first);
         // Where nothing is seen no planes are compared.
         let origin = here.iter().find_map(|center| Some(center.plane()?.point));
-        Around::new(self, band, first, size, origin.unwrap_or_default()).alike(wanted, turn)
+        Around::new(self, band, first, size, origin.unwrap_or_default())
+            .sorted(wanted, is_sheet, turn)
     }
 }
 
 impl Window {
     /// Which pixels of a tile see one kind of surface with the eight around each, of those `wanted`, as bits; see
-    /// [`Window::alike`].
+    /// [`Window::sorted`].
     pub fn of_one_kind(&self, band: usize, first: usize, size: [usize; 2], wanted: u16) -> u16 {
         let kind = |column: usize, row: usize| {
             let tile = self.bands[row / SIDE % BANDS].tile(column / SIDE)?;
@@ -107,7 +117,7 @@ impl Window {
 impl Met {
     fn plane(&self) -> Option<&Plane> {
         match self {
-            Met::Nothing => None,
+            Met::Nothing | Met::Far { .. } => None,
             Met::Dark(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => Some(plane),
         }
     }
@@ -125,6 +135,9 @@ struct Around {
     nothing: u64,
     lit: u64,
     unlit: u64,
+    /// And which surface beyond the light, above the laser's sheet and below it.
+    above: u64,
+    below: u64,
     points: [[f32; CELLS]; 3],
     normals: [[f32; CELLS]; 3],
     tolerances: [f32; CELLS],
@@ -142,6 +155,8 @@ impl Around {
             nothing: 0,
             lit: 0,
             unlit: 0,
+            above: 0,
+            below: 0,
             points: [[0.0; CELLS]; 3],
             normals: [[0.0; CELLS]; 3],
             tolerances: [0.0; CELLS],
@@ -164,12 +179,19 @@ impl Around {
     #[inline(always)]
     fn set(&mut self, cell: usize, center: &Met, origin: DVec3) {
         let bits = match center {
-            Met::Nothing => &mut self.nothing,
+            Met::Nothing | Met::Far { .. } => &mut self.nothing,
             Met::Dark(_) => &mut 0,
             Met::Unlit(_) => &mut self.unlit,
             Met::Lit(..) => &mut self.lit,
         };
         *bits |= 1 << cell;
+        match center {
+            Met::Far { above: true } => self.above |= 1 << cell,
+            Met::Far { above: false } => self.below |= 1 << cell,
+            Met::Dark(plane) if plane.point.y > 0.0 => self.above |= 1 << cell,
+            Met::Dark(_) => self.below |= 1 << cell,
+            _ => {}
+        }
         if let Some(plane) = center.plane() {
             let point = (plane.point - origin).as_vec3();
             let normal = plane.normal.as_vec3();
@@ -188,18 +210,26 @@ impl Around {
         pixels.fold(0, |bits, pixel| bits | 1 << pixel)
     }
 
-    fn alike(&self, wanted: u16, turn: Option<f32>) -> u16 {
-        let nothing = Around::pixels(wanted, |cell| self.nothing >> cell & NINE == NINE);
+    fn sorted(&self, wanted: u16, is_sheet: bool, turn: Option<f32>) -> Sorted {
+        let near = |bits: u64, cell: usize| bits >> cell & NINE != 0;
         let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
-        let surface = Around::pixels(wanted & !nothing, |cell| {
-            let near = |bits: u64| bits >> cell & NINE != 0;
-            let parted = centre(self.lit, cell) && near(self.unlit)
-                || centre(self.unlit, cell) && near(self.lit);
-            !near(self.nothing) && !parted
+        let all = |bits: u64, cell: usize| bits >> cell & NINE == NINE;
+        let missed = self.nothing & !(self.above | self.below);
+        let dark = Around::pixels(wanted, |cell| match is_sheet {
+            true => [missed, self.above, self.below].map(|bits| all(bits, cell)) != [false; 3],
+            false => all(self.nothing, cell),
+        });
+        let surface = Around::pixels(wanted & !dark, |cell| {
+            let parted = centre(self.lit, cell) && near(self.unlit, cell)
+                || centre(self.unlit, cell) && near(self.lit, cell);
+            !near(self.nothing, cell) && !parted
         });
         let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
         let flat = rows.fold(0, |bits, row| bits | self.flat(row, turn) << (SIDE * row));
-        nothing | surface & flat
+        Sorted {
+            dark,
+            flat: surface & flat,
+        }
     }
 
     /// Which pixels of a row of the tile lie on one plane with those around them.

@@ -17,6 +17,7 @@ use obvhs::ray::RayHit;
 use obvhs::triangle::Triangle;
 use parry3d::query::RayCast;
 use parry3d::shape::{CompositeShapeRef, TriMesh};
+use smallvec::SmallVec;
 use std::sync::Arc;
 
 /// Something that answers rays; as many answers as rays.
@@ -137,26 +138,28 @@ fn ours(mesh: &Arc<Mesh>, backend: Backend) -> Result<Box<dyn Racer>> {
     Ok(Box::new(Ours(accel, backend)))
 }
 
-fn packet(rays: &[FlatRay]) -> [crate::accel::Ray; WIDTH] {
-    std::array::from_fn(|i| exact(&rays[i.min(rays.len() - 1)]))
+fn packet(rays: &[FlatRay]) -> SmallVec<[crate::accel::Ray; WIDTH]> {
+    rays.iter().map(exact).collect()
 }
 
 impl Racer for Ours {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
-        for (rays, hits) in rays.chunks(WIDTH).zip(hits.chunks_mut(WIDTH)) {
-            let found = self.0.closest(&packet(rays)[..rays.len()], |_, _| true);
-            for (hit, found) in hits.iter_mut().zip(found) {
-                *hit = found.map_or(FlatHit::NONE, |found| FlatHit {
-                    t: found.t as f32,
-                    triangle: found.face.triangle,
-                });
-            }
-        }
+        let mut hits = hits.chunks_mut(WIDTH);
+        self.0
+            .closest_in_turn(rays.chunks(WIDTH).map(packet), |found| {
+                let hits = hits.next().expect("there are as many as rays");
+                for (hit, found) in hits.iter_mut().zip(found) {
+                    *hit = found.map_or(FlatHit::NONE, |found| FlatHit {
+                        t: found.t as f32,
+                        triangle: found.face.triangle,
+                    });
+                }
+            });
     }
 
     fn occluded(&self, rays: &[FlatRay], _: bool, blocked: &mut [bool]) {
         for (rays, blocked) in rays.chunks(WIDTH).zip(blocked.chunks_mut(WIDTH)) {
-            let bits = self.0.occluded(&packet(rays)[..rays.len()]);
+            let bits = self.0.occluded(&packet(rays));
             for (i, blocked) in blocked.iter_mut().enumerate() {
                 *blocked = bits >> i & 1 == 1;
             }
