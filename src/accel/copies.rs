@@ -98,6 +98,8 @@ fn meet_both(packet: &Packet, boxes: [&Bvh2Node; 2]) -> [(u16, f32); 2] {
     both
 }
 
+/// The same of one box. Distances by loops over all rays, which become the machine's vectors; the bits by
+/// `wide`, since such a loop over them does not.
 #[inline(always)]
 fn meet(packet: &Packet, node: &Bvh2Node) -> (u16, f32) {
     let less = |a: f32, b: f32| if a < b { a } else { b };

@@ -71,8 +71,8 @@ impl Window {
 
     /// Sorts the pixels of a tile that are `wanted` (as bits) by what they see with the eight
     /// around each. Past the sensor's border (`size`, columns and rows) are no pixels. All tiles
-    /// around those wanted must have been filled in. `is_sheet`: the laser is a line. `turn`: the greatest difference of normals on
-    /// one plane, if it is less than elsewhere.
+    /// around those wanted must have been filled in. `is_sheet`: the laser is a line. `turn`: the
+    /// greatest difference of normals on one plane, if it is less than elsewhere.
     pub fn sorted(
         &self,
         band: usize,
