@@ -106,6 +106,11 @@ impl Nodes {
         &self.places
     }
 
+    /// How far they lie from the pixel's centre in column and in row at most, pixels.
+    pub fn reach(&self) -> f64 {
+        self.places[0].abs().max_element()
+    }
+
     pub fn fours(&self) -> &[Four] {
         &self.fours
     }

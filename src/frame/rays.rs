@@ -19,6 +19,11 @@ const PLANE_TOLERANCE: f64 = 0.01;
 /// facets the light received changes by 5 % where it falls at 45°.
 pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
+/// How much closer to the middle of the beam than its light is taken to reach (beam radii) samples of a pixel must come
+/// if its centre lies beyond, for rays to be sent to them. Those left out have at most e^c times the light at its
+/// end, c radii from the middle.
+const COARSE: f64 = 0.25;
+
 /// What a ray meets.
 #[derive(Clone, Copy)]
 pub(super) enum Met {
@@ -29,6 +34,8 @@ pub(super) enum Met {
     },
     /// Further from the middle of the beam than light is taken to reach.
     Dark(Plane),
+    /// The same, but the pixel sees so much of its plane that some of it may be lit well.
+    Beside(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
     Unlit(Plane),
     Lit(Lit, Plane),
@@ -94,6 +101,8 @@ pub(super) struct LitRays<'a> {
     pub sight: &'a Sight,
     /// The same in the laser's frame.
     pub from_laser: Sight,
+    /// See [`Sight::steps`]; in the laser's frame.
+    steps: [DVec3; 2],
     laser_from_part: Rigid,
     /// The kinds of surface.
     kinds: Vec<Scatters<'a>>,
@@ -114,10 +123,12 @@ impl<'a> LitRays<'a> {
         let furthest = corners.iter().map(|p| p.length()).fold(0.0, f64::max);
         let cutoff = view.cutoff_radii;
         let widest = view.laser.reach(nearest.max(0.0), furthest, cutoff);
+        let from_laser = Sight::new(view.camera, &laser_from_camera);
         LitRays {
             view,
             sight,
-            from_laser: Sight::new(view.camera, &laser_from_camera),
+            steps: from_laser.steps(),
+            from_laser,
             laser_from_part,
             kinds: (view.surface.kinds().iter())
                 .map(|kind| Scatters::new(view, kind, skewed))
@@ -174,8 +185,15 @@ impl<'a> LitRays<'a> {
     }
 
     /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
-    /// row.
-    pub fn centers(&self, band: usize, first: usize, wanted: u16, centers: &mut [Met; WIDTH]) {
+    /// row. `around`: how far samples lie from each in column and in row, pixels.
+    pub fn centers(
+        &self,
+        band: usize,
+        first: usize,
+        wanted: u16,
+        around: f64,
+        centers: &mut [Met; WIDTH],
+    ) {
         let resolution = self.view.camera.sensor.resolution;
         let (mut pixels, mut count) = ([0; WIDTH], 0);
         let mut rays_wanted = 0;
@@ -193,7 +211,7 @@ impl<'a> LitRays<'a> {
                 count += 1;
             }
         }
-        self.look(&places[..count], &rays, rays_wanted, centers);
+        self.look(&places[..count], &rays, rays_wanted, around, centers);
         if count == WIDTH {
             return;
         }
@@ -214,8 +232,16 @@ impl<'a> LitRays<'a> {
     }
 
     /// What rays from the eye see, up to 16, that come from these places on the sensor;
-    /// those that are not `wanted` (as bits) nothing.
-    pub fn look(&self, places: &[DVec2], rays: &[Ray], wanted: u16, centers: &mut [Met]) {
+    /// those that are not `wanted` (as bits) nothing. `around`: how far about each place what it sees may matter, in column and
+    /// in row, pixels.
+    pub fn look(
+        &self,
+        places: &[DVec2],
+        rays: &[Ray],
+        wanted: u16,
+        around: f64,
+        centers: &mut [Met],
+    ) {
         // Rays that meet something too far from the sheet, as bits, by its side.
         let far = [const { Cell::new(0u16) }; 2];
         let near_sheet = |i: usize, t: f64| {
@@ -239,7 +265,7 @@ impl<'a> LitRays<'a> {
                     _ => Met::Nothing,
                 },
                 Some(hit) => {
-                    let (center, shadow_ray) = self.seen(hit, ray.direction, places[i]);
+                    let (center, shadow_ray) = self.seen(hit, ray.direction, places[i], around);
                     if let Some(ray) = shadow_ray {
                         lit[shadow_rays.len()] = i;
                         shadow_rays.push(ray);
@@ -260,7 +286,7 @@ impl<'a> LitRays<'a> {
     }
 
     /// A hit, and if it may be lit the ray on which the light may be blocked.
-    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2) -> (Met, Option<Ray>) {
+    fn seen(&self, hit: &Hit, direction: DVec3, place: DVec2, around: f64) -> (Met, Option<Ray>) {
         let laser = self.view.laser;
         let point = self.laser_from_part.point(hit.point);
         let section = laser.section(point);
@@ -277,7 +303,12 @@ impl<'a> LitRays<'a> {
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            return (Met::Dark(plane), None);
+            let nearest = || r2.sqrt() - hit.t * self.moves_across(normal, direction, around);
+            let is_coarse = around > 0.0 && nearest() < (self.view.cutoff_radii - COARSE) * radius;
+            return match is_coarse {
+                true => (Met::Beside(plane), None),
+                false => (Met::Dark(plane), None),
+            };
         }
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
@@ -305,5 +336,21 @@ impl<'a> LitRays<'a> {
             radius,
         };
         (Met::Lit(light, plane), Some(shadow_ray))
+    }
+
+    /// By how much (mm, of each mm of way) the distance from the middle of the beam changes at most on a plane
+    /// that a ray of the centre meets, up to so many pixels `around` it in column and in row. See
+    /// [`Profile`](super::flat::Profile). Far too much where the plane is seen edge-on.
+    fn moves_across(&self, normal: DVec3, direction: DVec3, around: f64) -> f64 {
+        let direction = self.laser_from_part.vector(direction);
+        let along = normal.dot(direction);
+        let (mut moved, mut turned) = (0.0, 0.0);
+        for step in self.steps {
+            let ratio = normal.dot(step) / along;
+            let step = step - direction * ratio;
+            moved += self.view.laser.off_middle(step).length();
+            turned += ratio.abs();
+        }
+        around * moved / (1.0 - around * turned).max(f64::MIN_POSITIVE)
     }
 }

@@ -70,6 +70,14 @@ impl Sight {
         (direction, steps)
     }
 
+    /// How the direction of a ray turns, at most and but for distortion, from column to column and from row to
+    /// row, radians: as on the sensor's nearest point.
+    pub fn steps(&self) -> [DVec3; 2] {
+        let normal = self.column.cross(self.row).normalize();
+        let distance = normal.dot(self.origin).abs();
+        [self.column / distance, self.row / distance]
+    }
+
     /// Irradiance at a place on the sensor per radiance of what it sees there, in
     /// `direction` from the eye, sr; see
     /// [`Camera::pupil_solid_angle`](crate::camera::Camera::pupil_solid_angle).

@@ -35,8 +35,8 @@ impl Band {
 
 /// Pixels of a tile, as bits, by what their centres and the eight around each see.
 pub(super) struct Sorted {
-    /// Nothing at all, or surface beyond the light, all on one side of the laser's sheet: where it lies on
-    /// both, a wall between that is seen nearly edge-on may be lit.
+    /// None is lit, nor does surface beyond the light lie on both sides of the laser's sheet: a wall between that
+    /// is seen nearly edge-on may be lit.
     pub dark: u16,
     /// Others: all one plane, and where light can reach two of them, both lit or neither.
     pub flat: u16,
@@ -118,7 +118,9 @@ impl Met {
     fn plane(&self) -> Option<&Plane> {
         match self {
             Met::Nothing | Met::Far { .. } => None,
-            Met::Dark(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => Some(plane),
+            Met::Dark(plane) | Met::Beside(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => {
+                Some(plane)
+            }
         }
     }
 }
@@ -135,7 +137,8 @@ struct Around {
     nothing: u64,
     lit: u64,
     unlit: u64,
-    /// And which surface beyond the light, above the laser's sheet and below it.
+    /// And which surface beyond the light, above the laser's sheet and below it; both where the pixel's own plane
+    /// may be on either side.
     above: u64,
     below: u64,
     points: [[f32; CELLS]; 3],
@@ -180,7 +183,7 @@ impl Around {
     fn set(&mut self, cell: usize, center: &Met, origin: DVec3) {
         let bits = match center {
             Met::Nothing | Met::Far { .. } => &mut self.nothing,
-            Met::Dark(_) => &mut 0,
+            Met::Dark(_) | Met::Beside(_) => &mut 0,
             Met::Unlit(_) => &mut self.unlit,
             Met::Lit(..) => &mut self.lit,
         };
@@ -190,6 +193,10 @@ impl Around {
             Met::Far { above: false } => self.below |= 1 << cell,
             Met::Dark(plane) if plane.point.y > 0.0 => self.above |= 1 << cell,
             Met::Dark(_) => self.below |= 1 << cell,
+            Met::Beside(_) => {
+                self.above |= 1 << cell;
+                self.below |= 1 << cell;
+            }
             _ => {}
         }
         if let Some(plane) = center.plane() {
@@ -213,16 +220,16 @@ impl Around {
     fn sorted(&self, wanted: u16, is_sheet: bool, turn: Option<f32>) -> Sorted {
         let near = |bits: u64, cell: usize| bits >> cell & NINE != 0;
         let centre = |bits: u64, cell: usize| bits >> (cell + STRIDE + 1) & 1 == 1;
-        let all = |bits: u64, cell: usize| bits >> cell & NINE == NINE;
-        let missed = self.nothing & !(self.above | self.below);
+        let both_sides = |cell: usize| near(self.above, cell) && near(self.below, cell);
         let dark = Around::pixels(wanted, |cell| match is_sheet {
-            true => [missed, self.above, self.below].map(|bits| all(bits, cell)) != [false; 3],
-            false => all(self.nothing, cell),
+            true => !near(self.lit, cell) && !both_sides(cell),
+            false => self.nothing >> cell & NINE == NINE,
         });
         let surface = Around::pixels(wanted & !dark, |cell| {
             let parted = centre(self.lit, cell) && near(self.unlit, cell)
                 || centre(self.unlit, cell) && near(self.lit, cell);
-            !near(self.nothing, cell) && !parted
+            let is_coarse = centre(self.above & self.below, cell);
+            !near(self.nothing, cell) && !parted && !is_coarse
         });
         let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
         let flat = rows.fold(0, |bits, row| bits | self.flat(row, turn) << (SIDE * row));

@@ -5,16 +5,13 @@ use crate::laser::{CUTOFF_RADII, Laser};
 use crate::math::DVec3;
 use std::f64::consts::PI;
 
-/// What light beyond the cutoff may add to any pixel, electrons or counts,
-/// whichever is less light: no noise is as small.
-const UNSEEN: f64 = 1e-3;
-/// Speckle is brighter than this many times its mean in 2e-9 of all places.
-const BRIGHTEST_SPECKLE: f64 = 20.0;
+/// What light beyond the cutoff adds to any pixel at most, of the standard deviation of a dark pixel's counts.
+/// Speckle, which is brighter than twenty times its mean in 2e-9 of all places, makes it a fifth there.
+const UNSEEN: f64 = 0.01;
 
 /// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from
 /// an upper bound of the brightest pixel: white paint across the beam at the nearest of
-/// the `places` (laser frame) that the sensor sees, the waist lying there, in speckle of
-/// [`BRIGHTEST_SPECKLE`].
+/// the `places` (laser frame) that the sensor sees, the waist lying there.
 pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> f64 {
     if places.is_empty() {
         return CUTOFF_RADII;
@@ -31,8 +28,8 @@ pub(super) fn cutoff_radii(laser: &Laser, camera: &Camera, places: &[DVec3]) -> 
     let solid_angle = camera.greatest_pupil_solid_angle();
     let electrons =
         irradiance / PI * solid_angle * camera.sensor.electrons_per_irradiance(beam.wavelength);
-    let unseen = UNSEEN / camera.sensor.gain_dn_per_e.max(1.0);
-    let exponent = (electrons * BRIGHTEST_SPECKLE / unseen).ln();
+    let unseen = UNSEEN * camera.sensor.dark_variance_e().sqrt();
+    let exponent = (electrons / unseen).ln();
     // Infinite for light that is seen at the aperture.
     (exponent / 2.0).max(1.0).sqrt().min(CUTOFF_RADII)
 }
