@@ -2,6 +2,7 @@
 
 use crate::accel::{Accel, Face, facing_normal};
 use crate::math::DVec3;
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// Signed distance (mm) from `point` to the nearest point of the part, positive outside the
@@ -51,7 +52,7 @@ impl DeviationStatistics {
     /// `None` without points.
     pub fn of(deviations_mm: impl IntoIterator<Item = f64>) -> Option<DeviationStatistics> {
         let mut sorted: Vec<f64> = deviations_mm.into_iter().map(|d| d * 1e3).collect();
-        sorted.sort_by(f64::total_cmp);
+        sorted.par_sort_unstable_by(f64::total_cmp);
         let (&min_um, &max_um) = (sorted.first()?, sorted.last()?);
         let n = sorted.len() as f64;
         let mean = sorted.iter().sum::<f64>() / n;

@@ -46,8 +46,8 @@ impl UncertaintyStatistics {
         let points = || points.iter().filter(|p| p.flags.is_empty());
         let median = |of: &dyn Fn(&CloudPoint) -> f64| {
             let mut values: Vec<f64> = points().map(|p| of(p) * 1e3).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied()
+            let middle = values.len() / 2;
+            (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
         let within = points().filter(|p| p.deviation.abs() <= 1.96 * p.deviation_sigma);
         Some(UncertaintyStatistics {

@@ -10,9 +10,11 @@ use std::io::{self, Write};
 pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64) -> f64 {
     let valid = points.iter().filter(|p| p.is_valid());
     let mut values: Vec<f64> = valid.map(|p| value(p).abs() * 1e3).collect();
-    values.sort_by(f64::total_cmp);
-    let at = values.get(values.len() * 98 / 100);
-    at.map_or(1.0, |&d| d.max(1e-3))
+    if values.is_empty() {
+        return 1.0;
+    }
+    let most = values.len() * 98 / 100;
+    (values.select_nth_unstable_by(most, f64::total_cmp).1).max(1e-3)
 }
 
 /// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
