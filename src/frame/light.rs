@@ -566,9 +566,9 @@ mod tests {
     }
 
     /// On a wall that the camera sees at 2° to 3° the middle of the line passes between the centres of two columns in
-    /// some rows, both of which lie beyond the light. What one ray a pixel leaves out, and a ray for each sample beyond two radii,
-    /// is at most e^(−2·1.75²) of the brightest for each of the 18 samples in question, 0.04; of the brightest row
-    /// three samples have half of that or more: less than 0.03 of its light.
+    /// some rows, both of which lie beyond the light. What one ray a pixel leaves out, and a ray for each sample beyond
+    /// two radii, is at most e^(−2·1.75²) of the brightest sample for each of 18 samples, 0.04 of it in all; three of
+    /// the brightest row have half of it or more: less than 0.03 of that row's light.
     #[test]
     fn a_line_between_two_centres_is_seen() {
         for angle in [0.035, 0.0525] {
