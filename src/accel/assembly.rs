@@ -214,18 +214,9 @@ impl Accel {
     }
 
     /// Calls `each` with what the rays of each packet meet, as [`Self::closest`] has it, packet by
-    /// packet. The memory with the triangles of one packet is on its way while the next are traced.
-    #[doc(hidden)]
-    pub fn closest_in_turn<P: AsRef<[Ray]>>(
-        &self,
-        packets: impl Iterator<Item = P>,
-        each: impl FnMut(&[Option<Hit>; WIDTH]),
-    ) {
-        self.trace_in_turn(packets, false, each);
-    }
-
-    /// The same of rays that start outside the part, or `anywhere`.
-    pub(super) fn trace_in_turn<P: AsRef<[Ray]>>(
+    /// packet; they start outside the part, or `anywhere`. The memory with the triangles of one packet is on its way
+    /// while the next are traced.
+    pub(crate) fn trace_in_turn<P: AsRef<[Ray]>>(
         &self,
         packets: impl Iterator<Item = P>,
         anywhere: bool,

@@ -36,13 +36,13 @@ impl Profile {
         if !(way > 0.0 && way < f64::MAX) {
             return None;
         }
-        let ratios = steps.map(|step| plane.normal.dot(step) / along);
+        let (moves, ratios) = plane.moves(direction, steps);
+        let moves = moves.map(|step| way * step);
         let scale = SQRT_2 / light.radius;
         let across = |p: DVec3| {
             let off = rays.view.laser.off_middle(p) * scale;
             [off.x as f32, off.y as f32]
         };
-        let moves = [0, 1].map(|i| way * (steps[i] - direction * ratios[i]));
         Some(Profile {
             centre: across(plane.point),
             by_column: across(moves[0]),

@@ -108,6 +108,7 @@ impl Nodes {
 
     /// How far they lie from the pixel's centre in column and in row at most, pixels.
     pub fn reach(&self) -> f64 {
+        // The first lies in a corner.
         self.places[0].abs().max_element()
     }
 

@@ -356,19 +356,13 @@ impl Frame<'_> {
             },
             _ => {
                 let is_sheet = self.rays.view.laser.fan.is_some();
-                window.sorted(
-                    band,
-                    first,
-                    size,
-                    wanted,
-                    is_sheet,
-                    self.rays.constant_turn(),
-                )
+                let turn = self.rays.constant_turn();
+                let mut sorted = window.sorted(band, first, size, wanted, is_sheet, turn);
+                if self.rays.are_mixed() {
+                    sorted.flat = window.of_one_kind(band, first, size, sorted.flat);
+                }
+                sorted
             }
-        };
-        let flat = match self.rays.are_mixed() && around > 0 {
-            true => window.of_one_kind(band, first, size, flat),
-            false => flat,
         };
         let pixels: [Pixel; WIDTH] = std::array::from_fn(|i| {
             let number = next[i / SIDE];

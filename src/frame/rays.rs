@@ -19,9 +19,9 @@ const PLANE_TOLERANCE: f64 = 0.01;
 /// facets the light received changes by 5 % where it falls at 45°.
 pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
-/// How much closer to the middle of the beam than its light is taken to reach (beam radii) samples of a pixel must come
-/// if its centre lies beyond, for rays to be sent to them. Those left out have at most e^c times the light at its
-/// end, c radii from the middle.
+/// If a pixel's centre lies beyond the light, its samples have rays where they come closer to the middle of the
+/// beam than the light's end by more than this, beam radii. A choice: those left out have at most e^c times the
+/// light at its end, c radii from the middle.
 const COARSE: f64 = 0.25;
 
 /// What a ray meets.
@@ -34,7 +34,7 @@ pub(super) enum Met {
     },
     /// Further from the middle of the beam than light is taken to reach.
     Dark(Plane),
-    /// The same, but the pixel sees so much of its plane that some of it may be lit well.
+    /// The same, but the pixel sees so much of the plane that light may reach its samples: each has a ray.
     Beside(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
     Unlit(Plane),
@@ -50,6 +50,17 @@ pub(super) struct Plane {
     pub tolerance: f32,
     /// Number of the surface's kind.
     pub kind: u32,
+}
+
+impl Plane {
+    /// How the point that a ray meets moves, of each length of the ray, as its direction changes by each of these
+    /// steps, to first order; and n·step/n·direction, by which that grows: see [`Profile`](super::flat::Profile).
+    pub fn moves(&self, direction: DVec3, steps: [DVec3; 2]) -> ([DVec3; 2], [f64; 2]) {
+        let along = self.normal.dot(direction);
+        let ratios = steps.map(|step| self.normal.dot(step) / along);
+        let moves = [0, 1].map(|i| steps[i] - direction * ratios[i]);
+        (moves, ratios)
+    }
 }
 
 /// Lit surface that a ray meets.
@@ -185,7 +196,7 @@ impl<'a> LitRays<'a> {
     }
 
     /// What the centres of those pixels of a tile that are `wanted` (as bits) see, row by
-    /// row. `around`: how far samples lie from each in column and in row, pixels.
+    /// row. `around`: see [`Self::look`].
     pub fn centers(
         &self,
         band: usize,
@@ -232,8 +243,8 @@ impl<'a> LitRays<'a> {
     }
 
     /// What rays from the eye see, up to 16, that come from these places on the sensor;
-    /// those that are not `wanted` (as bits) nothing. `around`: how far about each place what it sees may matter, in column and
-    /// in row, pixels.
+    /// those that are not `wanted` (as bits) nothing. `around`: how far from each place samples lie that it stands for,
+    /// in column and in row, pixels.
     pub fn look(
         &self,
         places: &[DVec2],
@@ -303,7 +314,7 @@ impl<'a> LitRays<'a> {
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            let nearest = || r2.sqrt() - hit.t * self.moves_across(normal, direction, around);
+            let nearest = || r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
             let is_coarse = around > 0.0 && nearest() < (self.view.cutoff_radii - COARSE) * radius;
             return match is_coarse {
                 true => (Met::Beside(plane), None),
@@ -338,19 +349,14 @@ impl<'a> LitRays<'a> {
         (Met::Lit(light, plane), Some(shadow_ray))
     }
 
-    /// By how much (mm, of each mm of way) the distance from the middle of the beam changes at most on a plane
-    /// that a ray of the centre meets, up to so many pixels `around` it in column and in row. See
-    /// [`Profile`](super::flat::Profile). Far too much where the plane is seen edge-on.
-    fn moves_across(&self, normal: DVec3, direction: DVec3, around: f64) -> f64 {
+    /// By how much the distance from the middle of the beam changes at most on a plane that a ray meets, mm for
+    /// each mm of the ray, up to so many pixels `around` it in column and in row. Far too much where the plane is
+    /// seen edge-on.
+    fn moves_across(&self, plane: &Plane, direction: DVec3, around: f64) -> f64 {
         let direction = self.laser_from_part.vector(direction);
-        let along = normal.dot(direction);
-        let (mut moved, mut turned) = (0.0, 0.0);
-        for step in self.steps {
-            let ratio = normal.dot(step) / along;
-            let step = step - direction * ratio;
-            moved += self.view.laser.off_middle(step).length();
-            turned += ratio.abs();
-        }
-        around * moved / (1.0 - around * turned).max(f64::MIN_POSITIVE)
+        let (moves, ratios) = plane.moves(direction, self.steps);
+        let across = moves.map(|step| self.view.laser.off_middle(step).length());
+        let turned: f64 = ratios.iter().map(|ratio| ratio.abs()).sum();
+        around * across.iter().sum::<f64>() / (1.0 - around * turned).max(f64::MIN_POSITIVE)
     }
 }

@@ -137,8 +137,7 @@ struct Around {
     nothing: u64,
     lit: u64,
     unlit: u64,
-    /// And which surface beyond the light, above the laser's sheet and below it; both where the pixel's own plane
-    /// may be on either side.
+    /// And which surface beyond the light, above the laser's sheet and below it; [`Met::Beside`] is both.
     above: u64,
     below: u64,
     points: [[f32; CELLS]; 3],
@@ -188,17 +187,14 @@ impl Around {
             Met::Lit(..) => &mut self.lit,
         };
         *bits |= 1 << cell;
-        match center {
-            Met::Far { above: true } => self.above |= 1 << cell,
-            Met::Far { above: false } => self.below |= 1 << cell,
-            Met::Dark(plane) if plane.point.y > 0.0 => self.above |= 1 << cell,
-            Met::Dark(_) => self.below |= 1 << cell,
-            Met::Beside(_) => {
-                self.above |= 1 << cell;
-                self.below |= 1 << cell;
-            }
-            _ => {}
-        }
+        let [above, below] = match center {
+            Met::Far { above } => [*above, !above],
+            Met::Dark(plane) => [plane.point.y > 0.0, plane.point.y <= 0.0],
+            Met::Beside(_) => [true; 2],
+            _ => [false; 2],
+        };
+        self.above |= u64::from(above) << cell;
+        self.below |= u64::from(below) << cell;
         if let Some(plane) = center.plane() {
             let point = (plane.point - origin).as_vec3();
             let normal = plane.normal.as_vec3();

@@ -5,8 +5,8 @@ use crate::laser::{CUTOFF_RADII, Laser};
 use crate::math::DVec3;
 use std::f64::consts::PI;
 
-/// What light beyond the cutoff adds to any pixel at most, of the standard deviation of a dark pixel's counts.
-/// Speckle, which is brighter than twenty times its mean in 2e-9 of all places, makes it a fifth there.
+/// What light at the cutoff adds to any pixel at most, of the standard deviation of a dark pixel's counts. Speckle
+/// makes more of it, but twenty times as much in 2e-9 of all places only.
 const UNSEEN: f64 = 0.01;
 
 /// Beam radii beyond which the laser adds no more than [`UNSEEN`] to a pixel, from

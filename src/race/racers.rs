@@ -146,7 +146,7 @@ impl Racer for Ours {
     fn closest(&self, rays: &[FlatRay], _: bool, hits: &mut [FlatHit]) {
         let mut hits = hits.chunks_mut(WIDTH);
         self.0
-            .closest_in_turn(rays.chunks(WIDTH).map(packet), |found| {
+            .trace_in_turn(rays.chunks(WIDTH).map(packet), false, |found| {
                 let hits = hits.next().expect("there are as many as rays");
                 for (hit, found) in hits.iter_mut().zip(found) {
                     *hit = found.map_or(FlatHit::NONE, |found| FlatHit {
