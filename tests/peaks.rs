@@ -5,8 +5,10 @@ use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::profile::{
     Choice, FALSE_PEAKS_PER_FRAME, Flags, Peak, PeakFinder, PeakSettings, find_peaks,
 };
+use lasertrace::study::{Channel, GreyImage, LineAlong, parse_image};
 use rand_distr::{Distribution, Normal};
 use std::f64::consts::{PI, SQRT_2};
+use std::path::Path;
 
 const ROWS: usize = 96;
 const BLACK: f64 = 100.0;
@@ -372,4 +374,270 @@ fn flags_have_names() {
     let json = serde_json::to_string(&flags).unwrap();
     assert_eq!(json, r#""SATURATED | EDGE""#);
     assert_eq!(serde_json::from_str::<Flags>(&json).unwrap(), flags);
+}
+
+/// Counts of a noisy, sloping line on a scale that ends at `top`, row by row: 120 rows of 150 columns.
+/// Without clipping its height is `height` × `top`; `None` is a line without noise.
+fn line_counts(seed: u64, height: f64, noise: Option<f64>, top: u16) -> Vec<u16> {
+    let key = Key::new(seed, Purpose::SensorNoise);
+    let normal = Normal::new(0.0, 1.0).unwrap();
+    let (sigma, slope) = (1.2 + 1.5 * key.uniform(0), 0.1 * key.uniform(1));
+    let mut stream = key.with(1).stream();
+    let scale = f64::from(top);
+    let count = |row: usize, column: usize, noise: f64| {
+        let x = row as f64 + 0.5 - 50.3 - slope * column as f64;
+        let light = height * (-x * x / (2.0 * sigma * sigma)).exp();
+        let count = scale * (0.03 + light + noise);
+        count.round().clamp(0.0, scale) as u16
+    };
+    let pixels = (0..120).flat_map(|row| (0..150).map(move |column| (row, column)));
+    pixels
+        .map(|(row, column)| {
+            let strayed = noise.map_or(0.0, |noise| noise * normal.sample(&mut stream));
+            count(row, column, strayed)
+        })
+        .collect()
+}
+
+/// A PNG of 16 bits of these samples, with an `sBIT` chunk where `bits` are given.
+fn png16(counts: &[u16], bits: Option<u8>) -> Vec<u8> {
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, 150, 120);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let mut writer = encoder.write_header().unwrap();
+    if let Some(bits) = bits {
+        writer.write_chunk(png::chunk::sBIT, &[bits]).unwrap();
+    }
+    let samples: Vec<[u8; 2]> = counts.iter().map(|count| count.to_be_bytes()).collect();
+    writer.write_image_data(samples.as_flattened()).unwrap();
+    drop(writer);
+    file
+}
+
+/// A file of 8 bits in a format of the `image` crate.
+fn file8(counts: &[u16], format: image::ImageFormat) -> Vec<u8> {
+    let samples = counts.iter().map(|&count| count as u8).collect();
+    let picture = image::GrayImage::from_raw(150, 120, samples).unwrap();
+    let mut file = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut file, format).unwrap();
+    file.into_inner()
+}
+
+/// A PNG of 8 bits whose colours are these parts of the counts, clipped at 255.
+fn colored(counts: &[u16], parts: [f64; 3]) -> Vec<u8> {
+    let part = |count: u16| parts.map(|part| (f64::from(count) * part).round().min(255.0) as u8);
+    let samples: Vec<[u8; 3]> = counts.iter().map(|&count| part(count)).collect();
+    let picture = image::RgbImage::from_raw(150, 120, samples.as_flattened().to_vec()).unwrap();
+    let mut file = std::io::Cursor::new(Vec::new());
+    picture
+        .write_to(&mut file, image::ImageFormat::Png)
+        .unwrap();
+    file.into_inner()
+}
+
+/// Files of the kinds that cameras write, of a line that reaches `height` × the end of their scale.
+fn camera_files(seed: u64, height: f64, noise: Option<f64>) -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    for bits in [10, 12, 14] {
+        let counts = line_counts(seed, height, noise, (1 << bits) - 1);
+        let shifted: Vec<u16> = counts.iter().map(|count| count << (16 - bits)).collect();
+        let replicated: Vec<u16> = (counts.iter().zip(&shifted))
+            .map(|(count, shifted)| shifted | count >> (2 * bits - 16))
+            .collect();
+        let significant = Some(bits as u8);
+        files.extend([
+            (format!("{bits} bits"), png16(&counts, None)),
+            (format!("{bits} bits, sBIT"), png16(&counts, significant)),
+            (format!("{bits} bits, shifted"), png16(&shifted, None)),
+            (
+                format!("{bits} bits, shifted, sBIT"),
+                png16(&shifted, significant),
+            ),
+            (format!("{bits} bits, replicated"), png16(&replicated, None)),
+        ]);
+        let mut pgm = format!("P5\n150 120\n{}\n", (1 << bits) - 1).into_bytes();
+        pgm.extend(counts.iter().flat_map(|count| count.to_be_bytes()));
+        files.push((format!("{bits} bits, PGM"), pgm));
+    }
+    // The full well ends before the scale.
+    let well = line_counts(seed, height, noise, 3517);
+    files.push(("a full well at 3517".into(), png16(&well, Some(12))));
+    for top in [250, 233, 255] {
+        let counts = line_counts(seed, height, noise, top);
+        for format in [
+            image::ImageFormat::Png,
+            image::ImageFormat::Bmp,
+            image::ImageFormat::Tiff,
+            image::ImageFormat::Pnm,
+        ] {
+            files.push((
+                format!("{format:?} clipped at {top}"),
+                file8(&counts, format),
+            ));
+        }
+        for parts in [[1.0, 0.2, 0.0], [0.1, 1.0, 0.3], [0.0, 0.1, 1.0]] {
+            files.push((
+                format!("{parts:?} clipped at {top}"),
+                colored(&counts, parts),
+            ));
+        }
+    }
+    files
+}
+
+fn read(bytes: &[u8], channel: Channel) -> GreyImage {
+    parse_image(Path::new("image"), bytes, LineAlong::Columns, channel).unwrap()
+}
+
+/// Every point of an overexposed line is SATURATED, whatever the bits, their position and the file's
+/// format; no point is of the same line at 0.7 of the scale, with noise and without.
+#[test]
+fn saturation_is_seen_in_files_of_all_depths() {
+    for seed in 1..=3 {
+        for (height, noise, saturates) in [
+            (1.7, Some(0.01), true),
+            (3.0, None, true),
+            (0.7, Some(0.01), false),
+            (0.7, None, false),
+        ] {
+            for (kind, file) in camera_files(seed, height, noise) {
+                let image = read(&file, Channel::Brightest);
+                let peaks = image.peaks(PeakFinder::Centroid);
+                assert_eq!(peaks.len(), 150, "{kind}");
+                let flagged = |peak: &&Peak| peak.flags.contains(Flags::SATURATED);
+                let flagged = peaks.iter().filter(flagged).count();
+                let expected = if saturates { 150 } else { 0 };
+                let context = format!("seed {seed}, {height}, {noise:?}: {kind}");
+                assert_eq!(flagged, expected, "{context}, {}", image.saturation_dn);
+            }
+        }
+    }
+}
+
+/// Where only some columns reach the end of the scale, these are flagged and no others.
+#[test]
+fn only_clipped_columns_of_an_image_are_saturated() {
+    for seed in 1..=3 {
+        let heights = line_counts(seed, 0.85, Some(0.01), 4095);
+        for (kind, top) in [("full scale", 4095), ("full well", 3517)] {
+            let counts: Vec<u16> = (heights.iter().enumerate())
+                .map(|(i, &count)| {
+                    let gain = 0.7 + 0.6 * (i % 150) as f64 / 150.0;
+                    (f64::from(count) * gain).min(f64::from(top)) as u16
+                })
+                .collect();
+            let image = read(&png16(&counts, None), Channel::Brightest);
+            assert_eq!(image.saturation_dn, top, "{kind}");
+            for peak in image.peaks(PeakFinder::Centroid) {
+                let clipped = image.counts.column(peak.column as usize).contains(&top);
+                let flagged = peak.flags.contains(Flags::SATURATED);
+                assert_eq!(flagged, clipped, "{kind}, seed {seed}: {peak:?}");
+            }
+        }
+    }
+}
+
+/// A line of a colour is found as in the grey image of its channel; the channel may be chosen. JPEG
+/// quantises: at a quality of 95 most steps are 1 to 10, which leaves an error of about e = 1 count a pixel. Over the
+/// window of ±4σ it moves the centroid of a line of height h = 180 by e·√(2·(4σ)³/3)/(√(2π)·h·σ) = 0.015·√σ, at most
+/// 0.025 px for σ = 2.7. The bound is twice that.
+#[test]
+fn formats_and_channels_give_the_same_rows() {
+    for seed in 1..=3 {
+        let counts = line_counts(seed, 0.7, Some(0.01), 255);
+        let rows = |image: &GreyImage| -> Vec<f64> {
+            let peaks = image.peaks(PeakFinder::Centroid);
+            peaks.iter().map(|peak| peak.row).collect()
+        };
+        let expected = rows(&read(
+            &file8(&counts, image::ImageFormat::Png),
+            Channel::Red,
+        ));
+        let differs = |file: &[u8], channel| {
+            let found = rows(&read(file, channel));
+            assert_eq!(found.len(), 150);
+            let off = found.iter().zip(&expected).map(|(a, b)| (a - b).powi(2));
+            (off.sum::<f64>() / 150.0).sqrt()
+        };
+        for format in [
+            image::ImageFormat::Bmp,
+            image::ImageFormat::Tiff,
+            image::ImageFormat::Pnm,
+        ] {
+            assert!(
+                differs(&file8(&counts, format), Channel::Brightest) < 1e-4,
+                "{format:?}"
+            );
+        }
+        let mut jpeg = Vec::new();
+        let samples: Vec<u8> = counts.iter().map(|&count| count as u8).collect();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 95)
+            .encode(&samples, 150, 120, image::ExtendedColorType::L8)
+            .unwrap();
+        assert!(differs(&jpeg, Channel::Brightest) < 0.05);
+        let names = [Channel::Red, Channel::Green, Channel::Blue];
+        for (k, channel) in names.into_iter().enumerate() {
+            let mut parts = [0.1; 3];
+            parts[k] = 1.0;
+            let file = colored(&counts, parts);
+            assert_eq!(read(&file, Channel::Brightest).channel, Some(channel));
+            assert!(differs(&file, Channel::Brightest) < 1e-4, "{channel}");
+            assert!(differs(&file, channel) < 1e-4, "{channel}");
+            assert!(differs(&file, names[(k + 1) % 3]) > 1e-3, "{channel}");
+        }
+    }
+}
+
+/// The files of ../shared/data/cases, with what their README calls right.
+#[test]
+fn image_cases_are_read_right() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/cases");
+    if !folder.exists() {
+        println!("SKIPPED: no {}", folder.display());
+        return;
+    }
+    let peaks = |name: &str| {
+        let bytes = std::fs::read(folder.join(name)).unwrap();
+        read(&bytes, Channel::Brightest).peaks(PeakFinder::Centroid)
+    };
+    let plain = peaks("i00_grey8.png");
+    assert_eq!(plain.len(), 200);
+    for (name, bound) in [
+        ("i01_grey16.png", 1e-4),
+        ("i02_palette.png", 1e-4),
+        ("i03_la.png", 1e-4),
+        ("i04_rgba.png", 1e-4),
+        ("i06_rgb16.png", 1e-4),
+        ("i07_interlaced.png", 1e-4),
+        ("i08_trns.png", 1e-4),
+        ("i16.bmp", 1e-4),
+        ("i16.tif", 1e-4),
+        ("i16.pgm", 1e-4),
+        ("i16.jpg", 0.05),
+    ] {
+        let found = peaks(name);
+        assert_eq!(found.len(), 200, "{name}");
+        let off = found
+            .iter()
+            .zip(&plain)
+            .map(|(a, b)| (a.row - b.row).powi(2));
+        let rms = (off.sum::<f64>() / 200.0).sqrt();
+        assert!(rms <= bound, "{name}: {rms}");
+        let flagged = |peak: &Peak| peak.flags.contains(Flags::SATURATED);
+        assert!(!found.iter().any(flagged), "{name}");
+    }
+    for name in [
+        "i09_12in16_saturated.png",
+        "i10_12in16_sbit.png",
+        "i11_12shifted_saturated.png",
+        "i12_8bit_clipped_at_250.png",
+        "i13_8bit_clipped_255.png",
+        "i14_red_saturated.png",
+        "i15_blue_saturated.png",
+    ] {
+        let found = peaks(name);
+        let flagged = |peak: &Peak| peak.flags.contains(Flags::SATURATED);
+        assert!(found.len() == 200 && found.iter().all(flagged), "{name}");
+    }
 }

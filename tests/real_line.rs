@@ -2,7 +2,7 @@
 //! authors' program extracted (../shared/data/laser; not part of this project).
 
 use lasertrace::profile::PeakFinder;
-use lasertrace::study::{LineAlong, read_image};
+use lasertrace::study::{Channel, LineAlong, read_image};
 use std::path::{Path, PathBuf};
 
 /// Half thickness of the light in the frame at full scale, px, at its thinnest:
@@ -21,7 +21,7 @@ fn file(name: &str) -> Option<PathBuf> {
 
 /// Row of the authors' line in each column, the mean of its pixels.
 fn authors_line(path: &Path) -> Vec<(u32, f64)> {
-    let line = read_image(path, LineAlong::Columns).unwrap();
+    let line = read_image(path, LineAlong::Columns, Channel::Brightest).unwrap();
     (0..line.counts.columns())
         .filter_map(|column| {
             let counts = line.counts.column(column).iter().enumerate();
@@ -41,7 +41,7 @@ fn finders_agree_with_the_authors_of_a_real_frame() {
     ) else {
         return;
     };
-    let image = read_image(&image, LineAlong::Columns).unwrap();
+    let image = read_image(&image, LineAlong::Columns, Channel::Brightest).unwrap();
     let authors = authors_line(&line);
     assert!(authors.len() > 300, "{}", authors.len());
     for finder in PeakFinder::ALL {

@@ -8,7 +8,7 @@ use lasertrace::math::DVec2;
 use lasertrace::mesh;
 use lasertrace::profile::{Calibration, PeakFinder};
 use lasertrace::scene::{Scene, parse_poses};
-use lasertrace::study::{LineAlong, parse_image};
+use lasertrace::study::{Channel, LineAlong, parse_image};
 use std::path::Path;
 
 /// Whether bytes are a mesh, which then is valid and has a finite report; else the
@@ -84,7 +84,12 @@ pub fn is_calibration(bytes: &[u8]) -> bool {
 
 /// Whether bytes are an image, in which lines then are found by finite rows.
 pub fn is_image(bytes: &[u8]) -> bool {
-    match parse_image(Path::new("image"), bytes, LineAlong::Columns) {
+    match parse_image(
+        Path::new("image"),
+        bytes,
+        LineAlong::Columns,
+        Channel::Brightest,
+    ) {
         Ok(image) => {
             for finder in PeakFinder::ALL {
                 for peak in image.peaks(finder) {

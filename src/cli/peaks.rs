@@ -6,19 +6,22 @@ use crate::error::Result;
 use crate::error::printable::path;
 use crate::report::chart::short;
 use crate::study::PeakChart;
-use crate::study::{ImageSummary, LineAlong};
+use crate::study::{Channel, ImageSummary, LineAlong};
 use std::fmt::Write;
 use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Image (PNG) of a real line to find with all finders [default: chart their
+    /// Image (PNG, JPEG, TIFF, BMP or PGM) of a real line to find with all finders [default: chart their
     /// errors on synthetic lines]
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
     /// Which way the line runs in the image
     #[arg(long, value_enum, default_value_t = Along::Columns, requires = "image")]
     line_along: Along,
+    /// Channel of a colour image to find the line in
+    #[arg(long, value_enum, default_value_t = Color::Brightest, requires = "image")]
+    channel: Color,
     /// Seed of noise and speckle
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -31,6 +34,14 @@ pub struct Arguments {
 enum Along {
     Columns,
     Rows,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Color {
+    Brightest,
+    Red,
+    Green,
+    Blue,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -51,7 +62,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Along::Columns => LineAlong::Columns,
         Along::Rows => LineAlong::Rows,
     };
-    let summary = study::peaks_of_image(image, along, &arguments.output, &control)?;
+    let channel = match arguments.channel {
+        Color::Brightest => Channel::Brightest,
+        Color::Red => Channel::Red,
+        Color::Green => Channel::Green,
+        Color::Blue => Channel::Blue,
+    };
+    let summary = study::peaks_of_image(image, along, channel, &arguments.output, &control)?;
     output.result(&summary, &image_text(&summary))
 }
 
@@ -88,6 +105,11 @@ fn image_text(summary: &ImageSummary) -> String {
             short(line.median_sigma_px)
         );
     }
+    let channel = summary
+        .channel
+        .map(|channel| format!(" of the {channel} channel"));
+    let (channel, saturation) = (channel.unwrap_or_default(), summary.saturation_dn);
+    let _ = writeln!(text, "pixels{channel} saturate at {saturation} counts");
     let (table, picture) = (path(&summary.table), path(&summary.picture));
     text + &format!("\n{table}\n{picture}\n")
 }

@@ -25,6 +25,7 @@ pub struct FrameContent {
 impl FrameContent {
     pub fn of(simulation: &Simulation, frame: u32) -> FrameContent {
         let (image, peaks, points) = simulation.taken(frame);
+        let max_count = simulation.scene.camera.sensor.max_count();
         let image = image.filter(|_| simulation.scene.write_frames);
         let is_blurred = |peak: &&Peak| {
             let blur = simulation.defocus_blur_px(peak).unwrap_or(0.0);
@@ -36,7 +37,7 @@ impl FrameContent {
         };
         FrameContent {
             blurred: peaks.iter().filter(is_blurred).count() as u32,
-            image: image.map(|image| encode_counts(&image.into_counts())),
+            image: image.map(|image| encode_counts(&image.into_counts(), max_count)),
             points,
         }
     }

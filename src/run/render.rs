@@ -48,7 +48,10 @@ pub fn render(
     let resolution = scene.camera.sensor.resolution;
     let png = out.join(format!("frame-{frame:06}.png"));
     let exr_path = png.with_extension("exr");
-    files::write_bytes(&png, &encode_counts(&counts))?;
+    files::write_bytes(
+        &png,
+        &encode_counts(&counts, scene.camera.sensor.max_count()),
+    )?;
     let component = |of: &[[f32; 3]], i: usize| FlatSamples::F32(of.iter().map(|v| v[i]).collect());
     let mut channels = vec![
         ("irradiance", FlatSamples::F32(irradiance.dense())),

@@ -1,5 +1,6 @@
 //! Frames that another program rendered, to stand beside this program's ways in the chart.
 
+use super::image_file::Channel;
 use super::peak_image::{GreyImage, LineAlong, read_image};
 use crate::error::{InputError, Place, Result};
 use crate::run::files;
@@ -46,13 +47,17 @@ struct FileFrame {
 
 impl Beside {
     /// Reads `{"name": "…", "frames": [{"frame": 3, "ms": [20.1, 20.3], "image": "3.png"}, …]}`: frames in rising order,
-    /// each with a PNG of the sensor's counts.
+    /// each with an image of the sensor's counts.
     pub fn read(path: &Path) -> Result<Beside> {
         let expected = "{\"name\": …, \"frames\": [{\"frame\": …, \"ms\": […], \"image\": …}, …]}";
         let file: File = files::parse_json(path, &files::read_regular(path, expected)?, expected)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let frame = |frame: FileFrame| {
-            let image = read_image(&folder.join(&frame.image), LineAlong::Columns)?;
+            let image = read_image(
+                &folder.join(&frame.image),
+                LineAlong::Columns,
+                Channel::Brightest,
+            )?;
             Ok(BesideFrame {
                 frame: frame.frame,
                 ms: frame.ms,

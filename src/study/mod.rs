@@ -8,6 +8,7 @@ mod beside;
 mod calibrate;
 mod chart;
 mod emva;
+mod image_file;
 mod kept;
 pub mod lens;
 mod peak_image;
@@ -29,6 +30,7 @@ pub use beside::{Beside, BesideFrame};
 pub use calibrate::{CalibrationSummary, ParameterResult, VIEWS as CALIBRATION_VIEWS, calibrate};
 pub use chart::{Chart, ChartEffort, ChartFigures, ChartRow, chart, chart_steps};
 pub use emva::{EmvaSummary, emva, emva_images};
+pub use image_file::Channel;
 pub use kept::{Kept, keeps_word};
 pub use peak_image::{
     FoundLine, GreyImage, ImageSummary, LineAlong, parse_image, peaks_of_image, read_image,

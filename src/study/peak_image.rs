@@ -1,14 +1,14 @@
 //! The finders of the laser line on an image of a real sensor.
 
+use super::image_file::{Channel, FORMATS, read_channel};
 use crate::camera::Counts;
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::{InputError, Place, Result};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::{Control, files};
-use png::{BitDepth, Transformations};
 use serde::Serialize;
-use std::io::{Cursor, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Which way the laser line runs in an image.
@@ -21,13 +21,15 @@ pub enum LineAlong {
     Rows,
 }
 
-/// Counts of an image; transposed where the line runs along rows.
+/// Counts of one channel of an image; transposed where the line runs along rows.
 #[derive(Debug)]
 pub struct GreyImage {
     /// With the line along the rows of this.
     pub counts: Counts,
-    /// Highest count of the format.
-    pub max_count: u16,
+    /// The count from which on a pixel is saturated.
+    pub saturation_dn: u16,
+    /// The channel that was read; `None` for a grey image.
+    pub channel: Option<Channel>,
     line_along: LineAlong,
 }
 
@@ -38,6 +40,10 @@ pub struct ImageSummary {
     pub image: PathBuf,
     /// How the line runs.
     pub line_along: LineAlong,
+    /// The channel that was read; `None` for a grey image.
+    pub channel: Option<Channel>,
+    /// The count from which on a pixel is saturated.
+    pub saturation_dn: u16,
     /// Columns in which a line was looked for; rows if it runs along these.
     pub columns: usize,
     /// One for each finder.
@@ -61,69 +67,28 @@ pub struct FoundLine {
     pub median_sigma_px: f64,
 }
 
-const IMAGE: &str = "an image (PNG)";
-
-/// Reads a PNG of 8 or 16 bits; of colours, their luminance. Errors: no regular
-/// file, no such PNG.
-pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
-    let bytes = files::read_regular(path, IMAGE)?;
-    parse_image(path, &bytes, line_along)
+/// Reads one channel of an image file (PNG, JPEG, TIFF, BMP or PGM, of 8 or 16 bits). Errors: no
+/// regular file, no such image.
+pub fn read_image(path: &Path, line_along: LineAlong, channel: Channel) -> Result<GreyImage> {
+    let bytes = files::read_regular(path, FORMATS)?;
+    parse_image(path, &bytes, line_along, channel)
 }
 
-fn wrong(path: &Path, found: String) -> Error {
-    InputError::new(path, Place::File, found, IMAGE).into()
-}
-
-/// `read_image` for bytes already in memory; `path` only names them in errors.
-pub fn parse_image(path: &Path, bytes: &[u8], line_along: LineAlong) -> Result<GreyImage> {
-    let (counts, max_count) = decode(bytes).map_err(|found| wrong(path, found))?;
-    let counts = match line_along {
-        LineAlong::Columns => counts,
-        LineAlong::Rows => Counts::of_rows(counts.by_column(), counts.rows()),
-    };
+/// [`read_image`] for bytes already in memory; `path` only names them in errors.
+pub fn parse_image(
+    path: &Path,
+    bytes: &[u8],
+    line_along: LineAlong,
+    channel: Channel,
+) -> Result<GreyImage> {
+    let read = read_channel(bytes, channel, line_along == LineAlong::Rows);
+    let read = read.map_err(|found| InputError::new(path, Place::File, found, FORMATS))?;
     Ok(GreyImage {
-        counts,
-        max_count,
+        counts: read.counts,
+        saturation_dn: read.saturation,
+        channel: read.channel,
         line_along,
     })
-}
-
-/// Most bytes of an image in memory.
-const MOST_BYTES: usize = 1 << 29;
-
-/// Counts and the format's highest, or what was found in place of a PNG.
-fn decode(bytes: &[u8]) -> std::result::Result<(Counts, u16), String> {
-    let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Palettes as their colours, fewer bits than eight as eight.
-    decoder.set_transformations(Transformations::EXPAND);
-    let mut reader = decoder.read_info().map_err(|error| error.to_string())?;
-    let size = reader.output_buffer_size();
-    let size = size.filter(|&size| size <= MOST_BYTES);
-    let mut samples = vec![0; size.ok_or("an image of more than 512 MiB")?];
-    let frame = reader.next_frame(&mut samples);
-    let frame = frame.map_err(|error| error.to_string())?;
-    samples.truncate(frame.buffer_size());
-    let (values, max_count): (Vec<u16>, u16) = match frame.bit_depth {
-        BitDepth::Sixteen => {
-            let pairs = samples.chunks_exact(2);
-            (
-                pairs.map(|p| u16::from_be_bytes([p[0], p[1]])).collect(),
-                u16::MAX,
-            )
-        }
-        _ => (samples.into_iter().map(u16::from).collect(), 255),
-    };
-    // Without what is transparent; of colours the luminance (ITU-R BT.709).
-    let grey = |pixel: &[u16]| match *pixel {
-        [red, green, blue, ..] => {
-            let [red, green, blue] = [red, green, blue].map(u32::from);
-            ((2126 * red + 7152 * green + 722 * blue) / 10_000) as u16
-        }
-        _ => pixel[0],
-    };
-    let pixels = values.chunks_exact(frame.color_type.samples());
-    let counts: Vec<u16> = pixels.map(grey).collect();
-    Ok((Counts::of_rows(&counts, frame.width as usize), max_count))
 }
 
 impl GreyImage {
@@ -131,7 +96,7 @@ impl GreyImage {
     pub fn peaks(&self, finder: PeakFinder) -> Vec<Peak> {
         let settings = PeakSettings {
             finder,
-            ..PeakSettings::new(self.max_count)
+            ..PeakSettings::new(self.saturation_dn)
         };
         find_peaks(&self.counts, &settings)
     }
@@ -142,16 +107,19 @@ impl GreyImage {
 pub fn peaks_of_image(
     path: &Path,
     line_along: LineAlong,
+    channel: Channel,
     out: &Path,
     control: &Control,
 ) -> Result<ImageSummary> {
-    let image = read_image(path, line_along)?;
+    let image = read_image(path, line_along, channel)?;
     files::create_folder(out)?;
     let lines = PeakFinder::ALL.map(|finder| (finder, image.peaks(finder)));
     control.check()?;
     let summary = ImageSummary {
         image: path.to_owned(),
         line_along,
+        channel: image.channel,
+        saturation_dn: image.saturation_dn,
         columns: image.counts.columns(),
         finders: lines.iter().map(|(f, peaks)| found(*f, peaks)).collect(),
         table: out.join("line.csv"),
@@ -194,7 +162,7 @@ const COLORS: [&str; 4] = ["#ff5040", "#40a0ff", "#30d060", "#ffc000"];
 /// The image for people as it was, and above it each finder's points.
 fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
     let (columns, rows) = (image.counts.columns(), image.counts.rows());
-    let png = encode_for_eyes(&image.counts.to_rows(), columns, image.max_count);
+    let png = encode_for_eyes(&image.counts.to_rows(), columns, image.saturation_dn);
     let (width, height, turn) = match image.line_along {
         LineAlong::Columns => (columns as f64, rows as f64, ""),
         LineAlong::Rows => (rows as f64, columns as f64, "matrix(0 1 1 0 0 0)"),

@@ -201,7 +201,9 @@ impl Session {
 
     /// Its file: PNG, 16 bits a pixel. Errors: values that cannot be.
     pub fn png(&self, values: &Values) -> Answer<Vec<u8>> {
-        Ok(encode_counts(&self.simulation(values)?.image(values.frame)))
+        let simulation = self.simulation(values)?;
+        let max_count = simulation.scene.camera.sensor.max_count();
+        Ok(encode_counts(&simulation.image(values.frame), max_count))
     }
 
     /// What `check` says. Errors: values that cannot be.

@@ -80,7 +80,7 @@ impl Set<'_> {
                 serde_json::to_vec(&described).expect("a sample is JSON"),
             ),
             ("npz", truth),
-            ("png", encode_counts(&image)),
+            ("png", encode_counts(&image, scene.camera.sensor.max_count())),
             ("toml", text.into_bytes()),
         ])
     }

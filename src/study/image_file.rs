@@ -1,0 +1,288 @@
+//! Reads one channel of an image file and finds the count at which its pixels saturate.
+
+use crate::camera::Counts;
+use image::codecs::pnm::PnmDecoder;
+use image::{DynamicImage, ImageFormat, ImageReader, Limits};
+use serde::Serialize;
+use std::fmt;
+use std::io::Cursor;
+
+/// The channel of a colour image that is read as counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Channel {
+    /// The channel whose columns have the highest maxima above their means.
+    Brightest,
+    /// The first.
+    Red,
+    /// The second.
+    Green,
+    /// The third.
+    Blue,
+}
+
+impl fmt::Display for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Channel::Brightest => "brightest",
+            Channel::Red => "red",
+            Channel::Green => "green",
+            Channel::Blue => "blue",
+        })
+    }
+}
+
+/// The formats that are read.
+pub(super) const FORMATS: &str = "an image (PNG, JPEG, TIFF, BMP or PGM)";
+
+/// One channel of an image.
+pub(super) struct ImageChannel {
+    pub counts: Counts,
+    /// The count from which on a pixel is saturated.
+    pub saturation: u16,
+    /// `None` for a grey image.
+    pub channel: Option<Channel>,
+}
+
+/// Most memory that the decoder may allocate, bytes.
+const MOST_BYTES: u64 = 1 << 29;
+
+/// Reads `channel` of an image, transposed if `turned`. The error describes the bytes that are no image.
+pub(super) fn read_channel(
+    bytes: &[u8],
+    channel: Channel,
+    turned: bool,
+) -> Result<ImageChannel, String> {
+    let in_words = |error: image::ImageError| error.to_string();
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+    let mut reader = reader.map_err(|error| error.to_string())?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MOST_BYTES);
+    reader.limits(limits);
+    let format = reader.format();
+    let image = reader.decode().map_err(in_words)?;
+    let declared = match format {
+        Some(ImageFormat::Png) => significant_bits(bytes),
+        Some(ImageFormat::Pnm) => Some(Declared::Highest(pnm_highest(bytes).map_err(in_words)?)),
+        _ => None,
+    };
+    let planes = Planes::of(&image, declared)?;
+    let read = |index: usize| {
+        let counts = Counts::of_rows(&planes.channel(index), planes.width);
+        match turned {
+            false => counts,
+            true => Counts::of_rows(counts.by_column(), counts.rows()),
+        }
+    };
+    let (counts, channel) = match (planes.colors, channel) {
+        (1, _) => (read(0), None),
+        (_, Channel::Red) => (read(0), Some(Channel::Red)),
+        (_, Channel::Green) => (read(1), Some(Channel::Green)),
+        (_, Channel::Blue) => (read(2), Some(Channel::Blue)),
+        (_, Channel::Brightest) => {
+            let names = [Channel::Red, Channel::Green, Channel::Blue];
+            let all = (0..3).map(read).zip(names);
+            let (counts, name) = all
+                .reduce(|a, b| {
+                    if contrast(&b.0) > contrast(&a.0) {
+                        b
+                    } else {
+                        a
+                    }
+                })
+                .expect("three channels");
+            (counts, Some(name))
+        }
+    };
+    Ok(ImageChannel {
+        saturation: saturation(&counts, planes.full, declared),
+        counts,
+        channel,
+    })
+}
+
+/// Sum over the columns of their maximum above their mean.
+fn contrast(counts: &Counts) -> f64 {
+    let of_column = |column: usize| {
+        let pixels = counts.column(column);
+        let sum: u64 = pixels.iter().map(|&count| u64::from(count)).sum();
+        let highest = pixels.iter().max().copied().unwrap_or(0);
+        f64::from(highest) - sum as f64 / pixels.len() as f64
+    };
+    (0..counts.columns()).map(of_column).sum()
+}
+
+/// The range of counts that a file's header states.
+#[derive(Clone, Copy)]
+enum Declared {
+    /// Significant bits of a PNG's samples (`sBIT`).
+    Bits(u32),
+    /// The highest sample of a PGM (`maxval`).
+    Highest(u16),
+}
+
+/// The samples of an image, as 16 bits whatever their number in the file.
+struct Planes {
+    samples: Vec<u16>,
+    width: usize,
+    /// Samples per pixel.
+    channels: usize,
+    /// 3 of a colour image, 1 of a grey one. The alpha channel is not counted.
+    colors: usize,
+    /// Highest sample of the file's format.
+    full: u16,
+}
+
+impl Planes {
+    fn of(image: &DynamicImage, declared: Option<Declared>) -> Result<Planes, String> {
+        let color = image.color();
+        let channels = usize::from(color.channel_count());
+        let bytes = image.as_bytes();
+        let (mut samples, mut full): (Vec<u16>, u16) =
+            match usize::from(color.bytes_per_pixel()) / channels {
+                1 => (bytes.iter().copied().map(u16::from).collect(), 255),
+                2 => {
+                    let pairs = bytes.as_chunks().0.iter();
+                    (
+                        pairs.map(|&pair| u16::from_ne_bytes(pair)).collect(),
+                        u16::MAX,
+                    )
+                }
+                _ => return Err("an image of floating-point numbers".into()),
+            };
+        // The decoder scales 16-bit PGM up to 65535.
+        if let (Some(Declared::Highest(highest)), u16::MAX) = (declared, full) {
+            let (from, to) = (u32::from(u16::MAX), u32::from(highest));
+            for sample in &mut samples {
+                *sample = ((u32::from(*sample) * to + from / 2) / from) as u16;
+            }
+            full = highest;
+        }
+        if full == u16::MAX {
+            full /= scaled_down(&mut samples);
+        }
+        if samples.is_empty() {
+            return Err("an image without pixels".into());
+        }
+        Ok(Planes {
+            samples,
+            width: image.width() as usize,
+            channels,
+            colors: if color.has_color() { 3 } else { 1 },
+            full,
+        })
+    }
+
+    fn channel(&self, index: usize) -> Vec<u16> {
+        let pixels = self.samples.chunks_exact(self.channels);
+        pixels.map(|pixel| pixel[index]).collect()
+    }
+}
+
+/// Divides 16-bit samples by the factor that scaled fewer bits up to 16, and returns this factor: 257 for
+/// 8 bits, or the power of two, at most 256, of shifted bits. The finders estimate the background's noise
+/// in whole counts, which are then the camera's.
+fn scaled_down(samples: &mut [u16]) -> u16 {
+    let factor = if samples.iter().all(|sample| sample.is_multiple_of(257)) {
+        257
+    } else {
+        let used = samples.iter().fold(0, |used, sample| used | sample);
+        1 << used.trailing_zeros().min(8)
+    };
+    for sample in samples {
+        *sample /= factor;
+    }
+    factor
+}
+
+/// The greatest number of significant bits of a PNG's colour channels.
+fn significant_bits(bytes: &[u8]) -> Option<Declared> {
+    let reader = png::Decoder::new(Cursor::new(bytes)).read_info().ok()?;
+    let bits = reader.info().sbit.as_deref()?.iter().copied().max()?;
+    Some(Declared::Bits(u32::from(bits)))
+}
+
+/// `maxval` of a PGM or PPM.
+fn pnm_highest(bytes: &[u8]) -> image::ImageResult<u16> {
+    let (_, header) = PnmDecoder::new(Cursor::new(bytes))?.into_inner();
+    Ok(header.maximal_sample().min(u32::from(u16::MAX)) as u16)
+}
+
+/// The count from which on a pixel is saturated: that of a plateau if there is one, otherwise the
+/// end of the scale.
+fn saturation(counts: &Counts, full: u16, declared: Option<Declared>) -> u16 {
+    let top = counts.by_column().iter().max().copied().unwrap_or(0);
+    if is_plateau(counts, top) {
+        return top;
+    }
+    match declared {
+        // Counts in the lower bits, or in the higher ones.
+        Some(Declared::Bits(bits)) if full == u16::MAX && (1..16).contains(&bits) => {
+            let highest = u16::MAX >> (16 - bits);
+            if top <= highest {
+                highest
+            } else {
+                highest << (16 - bits)
+            }
+        }
+        _ if is_end_of_scale(top) => top,
+        _ => full,
+    }
+}
+
+/// Fewest bits of a camera's counts.
+const FEWEST_BITS: u32 = 8;
+
+/// Whether a count is the highest of 8 to 16 bits, stored in the lower or the higher bits of 16.
+fn is_end_of_scale(top: u16) -> bool {
+    let ones = top.count_ones();
+    ones >= FEWEST_BITS && (ones == top.trailing_ones() || ones == top.leading_ones())
+}
+
+/// Whether the light of an image is clipped at its highest count, `top`. Two signs show it, each of
+/// which no line has that is not clipped:
+///
+/// - a flat top with steep sides, in any column;
+/// - far more pixels at `top` than at the counts next below.
+fn is_plateau(counts: &Counts, top: u16) -> bool {
+    let mut times = vec![0u64; usize::from(top) + 1];
+    for &count in counts.by_column() {
+        times[usize::from(count)] += 1;
+    }
+    let mut occurring = (0..=top).rev().filter(|&c| times[usize::from(c)] > 0);
+    // Counts that were scaled up to 16 bits have gaps: the least difference is one count of the camera.
+    let steps = occurring.clone().zip(occurring.clone().skip(1));
+    let step = steps.map(|(upper, lower)| upper - lower).min().unwrap_or(1);
+    let is_flat = |column: usize| has_flat_top(counts.column(column), top, step);
+    if (0..counts.columns()).any(is_flat) {
+        return true;
+    }
+    // The pixels of a smooth top within k counts of its height are within a distance that grows with √k.
+    // At most 1/(√4 − 1) times as many pixels have the highest count as have the three counts next below.
+    // Noise only spreads them. Twice as many, and ten more, are beyond chance.
+    let at_top = occurring.next().map_or(0, |c| times[usize::from(c)]);
+    let next: u64 = occurring.take(3).map(|c| times[usize::from(c)]).sum();
+    next > 0 && at_top > 2 * next + 10
+}
+
+/// Whether a column has three pixels or more of count `top` in a row, with sides too steep for a
+/// rounded parabola.
+///
+/// If n pixels of a parabola y = c·x² round to the same count, their spread of at most one step
+/// gives c·(((n − 1)/2)² − 1/4) ≤ 1 step, for the pixel nearest to the vertex is within 1/2 of it.
+/// The nearer of the two pixels next to them is within (n + 1)/2 of the vertex, and rounding adds at
+/// most one step: it is lower by at most (n + 1)²/(n·(n − 2)) + 1 steps.
+fn has_flat_top(column: &[u16], top: u16, step: u16) -> bool {
+    let mut row = 0;
+    column.chunk_by(|a, b| a == b).any(|run| {
+        let (start, n) = (row, run.len());
+        row += n;
+        if run[0] != top || n < 3 || start == 0 || row == column.len() {
+            return false;
+        }
+        let drop = top - column[start - 1].max(column[row]);
+        let n = n as f64;
+        let smooth = (n + 1.0).powi(2) / (n * (n - 2.0)) + 1.0;
+        f64::from(drop) > smooth * f64::from(step)
+    })
+}
