@@ -56,7 +56,7 @@ fn regions_sum_up_the_verdicts_of_the_cloud() {
         let bytes = &vertex[*at..at + size];
         match *size {
             8 => f64::from_le_bytes(bytes.try_into().unwrap()),
-            _ if name == "deviation" || name == "deviation_sigma" => {
+            _ if name.starts_with("scalar_deviation") => {
                 f32::from_le_bytes(bytes.try_into().unwrap()).into()
             }
             _ => i32::from_le_bytes(bytes.try_into().unwrap()).into(),
@@ -67,9 +67,13 @@ fn regions_sum_up_the_verdicts_of_the_cloud() {
     let limits = [[-1.0, 1.0], [-1.0, 1.0], [0.2, 0.4], [-1e-9, 1e-9]];
     let mut counts = [[0; 4]; 4];
     for vertex in vertices.chunks_exact(size) {
-        let [x, d, u] = ["x", "deviation", "deviation_sigma"].map(|name| of(name, vertex));
-        let flags = of("flags", vertex) as u32;
-        let (verdict, region) = (of("verdict", vertex) as usize, of("region", vertex));
+        let [x, d, u] =
+            ["x", "scalar_deviation", "scalar_deviation_sigma"].map(|name| of(name, vertex));
+        let flags = of("scalar_flags", vertex) as u32;
+        let (verdict, region) = (
+            of("scalar_verdict", vertex) as usize,
+            of("scalar_region", vertex),
+        );
         if flags & !64 != 0 {
             assert_eq!((verdict, region), (0, -1.0));
             continue;

@@ -168,6 +168,28 @@ with_mitsuba 'frames while Mitsuba 3 renders the direct light of one' 'the same 
 with_mitsuba 'the chart with Mitsuba 3 as a point' '95 of 100 points of the full model are found in its images' \
     llvm_ad_mono chart 'tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
 
+# A reader of clouds: its name in tests/cloud_readers.py, what it is called, how it is installed
+with_reader() {
+    check="clouds in $2" goal='every point with all its columns' command="python3 tests/cloud_readers.py $out/clouds $1"
+    # shellcheck disable=SC2086
+    [ -d "$out/clouds" ] || try scan-clouds cargo run $profile ${features} -- scan --quiet --also e57,pcd --frames 60..70 \
+        scenes/bracket/scene.toml -o "$out/clouds"
+    # shellcheck disable=SC2086
+    try "clouds-$1" $command
+    if ! python3 -c "import numpy" 2>/dev/null; then
+        skip "$check" "$goal" "no numpy for python3 (pip install numpy)" "$command"
+    elif grep -q "not installed" "$log"; then
+        skip "$check" "$goal" "no $2 ($3)" "$command"
+    else
+        row "$check" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+    fi
+}
+
+rm -rf "$out/clouds"
+with_reader cloudcompare CloudCompare 'apt-get install cloudcompare'
+with_reader pye57 pye57 'pip install pye57'
+with_reader pypcd4 pypcd4 'pip install pypcd4'
+
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'
 if [ "$page" = "$out/small.md" ]; then

@@ -42,7 +42,7 @@ pub struct Whole {
     /// Exit with code 65 if there are warnings, before the scan or of its result
     #[arg(long)]
     strict: bool,
-    /// Also write cloud.csv, cloud.e57; intensity_dn is the sum of the line's counts above black in its
+    /// Also write cloud.csv, cloud.e57, cloud.pcd; intensity_dn is the sum of the line's counts above black in its
     /// column
     #[arg(long, value_name = "FORMAT", value_delimiter = ',', value_parser = formats())]
     also: Vec<Format>,

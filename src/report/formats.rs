@@ -1,5 +1,7 @@
 //! The cloud in other forms than PLY, and the profiles.
 
+use super::color::diverging;
+use super::ply::color_limit_um;
 use crate::inspect::cloud::CloudPoint;
 use e57::{E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue};
 use sha2::{Digest, Sha256};
@@ -12,17 +14,20 @@ pub enum Format {
     Csv,
     /// ASTM E2807, in metres as it demands.
     E57,
+    /// Point Cloud Data of PCL, in metres as ROS has them.
+    Pcd,
 }
 
 impl Format {
     /// All, in the order of this list.
-    pub const ALL: [Format; 2] = [Format::Csv, Format::E57];
+    pub const ALL: [Format; 3] = [Format::Csv, Format::E57, Format::Pcd];
 
     /// Name of its file in the folder of a scan.
     pub fn file_name(self) -> &'static str {
         match self {
             Format::Csv => "cloud.csv",
             Format::E57 => "cloud.e57",
+            Format::Pcd => "cloud.pcd",
         }
     }
 
@@ -31,6 +36,7 @@ impl Format {
         match self {
             Format::Csv => "csv",
             Format::E57 => "e57",
+            Format::Pcd => "pcd",
         }
     }
 
@@ -40,6 +46,7 @@ impl Format {
             Format::Csv => csv(out, points),
             // Its writer goes back to what it has written.
             Format::E57 => out.write_all(&e57(points).map_err(io::Error::other)?),
+            Format::Pcd => pcd(out, points),
         }
     }
 }
@@ -75,6 +82,51 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
 const OWN: [&str; 4] = ["deviation", "sigma", "deviationSigma", "flags"];
 const NAMESPACE: &str = "lasertrace";
 
+/// The columns of an E57. Readers of libE57 (pye57) expect `cartesianInvalidState`.
+fn e57_prototype(points: &[CloudPoint]) -> Vec<Record> {
+    let float = RecordDataType::Double {
+        min: None,
+        max: None,
+    };
+    let integer = |max: i64| RecordDataType::Integer { min: 0, max };
+    let index =
+        |of: &dyn Fn(&CloudPoint) -> i64| integer(points.iter().map(of).max().unwrap_or(0).max(1));
+    let mut prototype = vec![
+        Record::CARTESIAN_X_F64,
+        Record::CARTESIAN_Y_F64,
+        Record::CARTESIAN_Z_F64,
+    ];
+    let mut add = |name, data_type| prototype.push(Record { name, data_type });
+    add(RecordName::CartesianInvalidState, integer(INVALID));
+    for name in [
+        RecordName::ColorRed,
+        RecordName::ColorGreen,
+        RecordName::ColorBlue,
+    ] {
+        add(name, integer(255));
+    }
+    add(RecordName::Intensity, float.clone());
+    add(RecordName::RowIndex, index(&|p| p.frame as i64));
+    add(RecordName::ColumnIndex, index(&|p| p.column as i64));
+    for (i, name) in OWN.into_iter().enumerate() {
+        let name = RecordName::Unknown {
+            namespace: NAMESPACE.into(),
+            name: name.into(),
+        };
+        add(
+            name,
+            match i {
+                3 => integer(u16::MAX as i64),
+                _ => float.clone(),
+            },
+        );
+    }
+    prototype
+}
+
+/// `cartesianInvalidState` of a point whose coordinates mean nothing.
+const INVALID: i64 = 2;
+
 fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
     let mut hash = Sha256::new();
     for p in points {
@@ -89,47 +141,23 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
         namespace: NAMESPACE.into(),
         url: "urn:lasertrace:point".into(),
     })?;
-    let float = RecordDataType::Double {
-        min: None,
-        max: None,
-    };
-    let index = |of: &dyn Fn(&CloudPoint) -> i64| RecordDataType::Integer {
-        min: 0,
-        max: points.iter().map(of).max().unwrap_or(0).max(1),
-    };
-    let mut prototype = vec![
-        Record::CARTESIAN_X_F64,
-        Record::CARTESIAN_Y_F64,
-        Record::CARTESIAN_Z_F64,
-    ];
-    let mut add = |name, data_type| prototype.push(Record { name, data_type });
-    add(RecordName::Intensity, float.clone());
-    add(RecordName::RowIndex, index(&|p| p.frame as i64));
-    add(RecordName::ColumnIndex, index(&|p| p.column as i64));
-    for (i, name) in OWN.into_iter().enumerate() {
-        let name = RecordName::Unknown {
-            namespace: NAMESPACE.into(),
-            name: name.into(),
-        };
-        add(
-            name,
-            match i {
-                3 => RecordDataType::Integer {
-                    min: 0,
-                    max: u16::MAX as i64,
-                },
-                _ => float.clone(),
-            },
-        );
-    }
+    let prototype = e57_prototype(points);
+    let columns = prototype.clone();
     let mut cloud = writer.add_pointcloud(&guid, prototype)?;
     cloud.set_name(Some("lasertrace scan, frame of the part".into()));
+    let limit = color_limit_um(points, |p| p.deviation);
     for p in points {
         let [x, y, z] = (p.position * 1e-3).to_array().map(RecordValue::Double);
+        let color = diverging(p.deviation * 1e3, limit);
+        let [red, green, blue] = color.map(|part| RecordValue::Integer(part.into()));
         cloud.add_point(vec![
             x,
             y,
             z,
+            RecordValue::Integer(0),
+            red,
+            green,
+            blue,
             RecordValue::Double(p.intensity),
             RecordValue::Integer(p.frame as i64),
             RecordValue::Integer(p.column as i64),
@@ -139,10 +167,82 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
             RecordValue::Integer(p.flags.bits() as i64),
         ])?;
     }
+    if points.is_empty() {
+        // libE57 opens no cloud of zero records. A record marked as invalid is not a point.
+        let value = |record: Record| match (record.name, record.data_type) {
+            (RecordName::CartesianInvalidState, _) => RecordValue::Integer(INVALID),
+            (_, RecordDataType::Integer { .. }) => RecordValue::Integer(0),
+            _ => RecordValue::Double(0.0),
+        };
+        cloud.add_point(columns.into_iter().map(value).collect())?;
+    }
     cloud.finalize()?;
     writer.finalize()?;
     drop(writer);
     Ok(file.into_inner())
+}
+
+/// Fields of a point in a PCD: names, and `F` for floats and `U` for unsigned integers, of 4 bytes
+/// each. PCL finds x, y, z, normals, rgb and intensity under these names, and only as 4-byte floats.
+const PCD_FIELDS: [(&str, char); 16] = [
+    ("x", 'F'),
+    ("y", 'F'),
+    ("z", 'F'),
+    ("normal_x", 'F'),
+    ("normal_y", 'F'),
+    ("normal_z", 'F'),
+    ("rgb", 'F'),
+    ("intensity", 'F'),
+    ("deviation", 'F'),
+    ("sigma", 'F'),
+    ("deviation_sigma", 'F'),
+    ("repeatability", 'F'),
+    ("correlation_length", 'F'),
+    ("frame", 'U'),
+    ("column", 'U'),
+    ("flags", 'U'),
+];
+
+fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
+    let all = |of: &dyn Fn((&str, char)) -> String| PCD_FIELDS.map(of).join(" ");
+    let count = points.len();
+    write!(
+        out,
+        "# .PCD v0.7 - Point Cloud Data file format\n\
+         # lasertrace: metres, frame of the part\n\
+         VERSION 0.7\nFIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\n\
+         WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n",
+        all(&|(name, _)| name.into()),
+        all(&|_| "4".into()),
+        all(&|(_, kind)| kind.into()),
+        all(&|_| "1".into()),
+    )?;
+    let limit = color_limit_um(points, |p| p.deviation);
+    for p in points {
+        let mut floats = |values: &[f64]| {
+            let mut bytes = values.iter().map(|&value| (value as f32).to_le_bytes());
+            bytes.try_for_each(|bytes| out.write_all(&bytes))
+        };
+        floats(&(p.position * 1e-3).to_array())?;
+        floats(&p.normal.as_dvec3().to_array())?;
+        let [red, green, blue] = diverging(p.deviation * 1e3, limit);
+        // The bytes of a colour, stored as if they were a float.
+        out.write_all(&[blue, green, red, 0])?;
+        let lengths = [
+            p.deviation,
+            p.sigma,
+            p.deviation_sigma,
+            p.repeatability,
+            p.correlation_length,
+        ];
+        for value in [p.intensity].into_iter().chain(lengths.map(|mm| mm * 1e-3)) {
+            out.write_all(&(value as f32).to_le_bytes())?;
+        }
+        for number in [p.frame, p.column, p.flags.bits().into()] {
+            out.write_all(&number.to_le_bytes())?;
+        }
+    }
+    Ok(())
 }
 
 /// The profiles of all frames: a structured array of NumPy's.
@@ -255,9 +355,50 @@ mod tests {
             .unwrap();
         let last = &read[199];
         assert_eq!(last[0], RecordValue::Double(199.0 / 3.0 * 1e-3));
-        assert_eq!(last[4], RecordValue::Integer(9));
-        assert_eq!(last[6], RecordValue::Double(-0.002 * 1e-3));
-        assert_eq!(last[9], RecordValue::Integer(32));
+        assert_eq!(last[3], RecordValue::Integer(0));
+        assert_eq!(last[8], RecordValue::Integer(9));
+        assert_eq!(last[10], RecordValue::Double(-0.002 * 1e-3));
+        assert_eq!(last[13], RecordValue::Integer(32));
+    }
+
+    /// libE57 refuses to read zero records: the file of an empty cloud has one, which is not valid.
+    #[test]
+    fn an_e57_without_points_has_a_record_that_is_no_point() {
+        let bytes = written(|out| Format::E57.write(out, &[]));
+        let mut reader = E57Reader::new(Cursor::new(bytes)).unwrap();
+        let cloud = reader.pointclouds().remove(0);
+        assert_eq!(cloud.records, 1);
+        let record = reader.pointcloud_raw(&cloud).unwrap().next().unwrap();
+        assert_eq!(record.unwrap()[3], RecordValue::Integer(2));
+    }
+
+    /// Checks the header's numbers and the bytes of the second point.
+    #[test]
+    fn a_pcd_is_laid_out_as_its_header_states() {
+        let bytes = written(|out| Format::Pcd.write(out, &points()));
+        let data = b"DATA binary\n";
+        let start = bytes.windows(data.len()).position(|w| w == data).unwrap() + data.len();
+        let header = std::str::from_utf8(&bytes[..start]).unwrap();
+        let line = |key: &str| {
+            let mut lines = header.lines().filter_map(|line| line.strip_prefix(key));
+            lines.next().unwrap().split_whitespace().collect::<Vec<_>>()
+        };
+        for key in ["FIELDS", "SIZE", "TYPE", "COUNT"] {
+            assert_eq!(line(key).len(), 16);
+        }
+        assert_eq!((line("WIDTH"), line("POINTS")), (vec!["200"], vec!["200"]));
+        let second = &bytes[start + 64..start + 128];
+        assert_eq!(bytes.len() - start, 200 * 64);
+        let float = |at: usize| f32::from_le_bytes(second[4 * at..][..4].try_into().unwrap());
+        assert_eq!(float(0), (1e-3f64 / 3.0) as f32);
+        assert_eq!(float(5), 1.0);
+        assert_eq!(float(7), 1234.5);
+        assert_eq!(float(8), (-0.002f64 * 1e-3) as f32);
+        let flags = u32::from(Flags::EDGE.bits());
+        assert_eq!(
+            second[56..],
+            [1u32, flags].map(u32::to_le_bytes).as_flattened()[..]
+        );
     }
 
     /// The header's own rules, and where the first point lies.

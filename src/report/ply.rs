@@ -17,11 +17,20 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
     (values.select_nth_unstable_by(most, f64::total_cmp).1).max(1e-3)
 }
 
-/// Writes a binary PLY: x, y, z (double, mm, part frame), nx, ny, nz (float), red, green, blue
-/// (uchar; the deviation, as in the report), deviation, sigma and deviation_sigma (float, mm),
-/// intensity (float, counts), repeatability and correlation_length (float, mm), frame, column and flags (int, which every
-/// reader takes; the bits of [`Flags`](crate::profile::Flags)); with `bands` verdict (int: 0 none, 1 pass, 2 fail, 3 unsure)
-/// and region (int: number of the band, -1 none); and where light reflected more than once is modelled direct (float).
+/// Writes a binary PLY with the following properties:
+///
+/// - x, y, z (double, mm, frame of the part), nx, ny, nz (float);
+/// - red, green, blue (uchar), the deviation as in the report;
+/// - deviation, sigma, deviation_sigma, repeatability and correlation_length (float, mm);
+/// - intensity (float, counts);
+/// - frame, column and flags (int, the bits of [`Flags`](crate::profile::Flags));
+/// - with `bands` verdict (int: 0 none, 1 pass, 2 fail, 3 unsure) and region (int: number of the band,
+///   -1 none);
+/// - where light reflected more than once is modelled, direct (float).
+///
+/// CloudCompare reads a property as a scalar field only if it is called `intensity` or its name begins
+/// with `scalar_`. MeshLab deletes points by a property called `flags`. All names that PLY itself does not
+/// define therefore have this prefix.
 pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> io::Result<()> {
     write!(
         out,
@@ -31,19 +40,19 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> 
          property double x\nproperty double y\nproperty double z\n\
          property float nx\nproperty float ny\nproperty float nz\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\n\
-         property float deviation\nproperty float sigma\n\
-         property float deviation_sigma\nproperty float intensity\n\
-         property float repeatability\nproperty float correlation_length\n\
-         property int frame\nproperty int column\nproperty int flags\n{}",
+         property float scalar_deviation\nproperty float scalar_sigma\n\
+         property float scalar_deviation_sigma\nproperty float intensity\n\
+         property float scalar_repeatability\nproperty float scalar_correlation_length\n\
+         property int scalar_frame\nproperty int scalar_column\nproperty int scalar_flags\n{}",
         points.len(),
         match bands {
             [] => "",
-            _ => "property int verdict\nproperty int region\n",
+            _ => "property int scalar_verdict\nproperty int scalar_region\n",
         }
     )?;
     let reflections = points.iter().any(|point| point.direct != 1.0);
     if reflections {
-        out.write_all(b"property float direct\n")?;
+        out.write_all(b"property float scalar_direct\n")?;
     }
     out.write_all(b"end_header\n")?;
     let limit = color_limit_um(points, |p| p.deviation);

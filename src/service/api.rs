@@ -252,7 +252,7 @@ struct Asked {
     /// Of a scan and of profiles: the frames from A to B − 1.
     #[param(example = "10..20")]
     frames: Option<String>,
-    /// Of a scan and of profiles: other forms of the cloud, as `csv,e57`.
+    /// Other formats of the cloud of a scan or of profiles, as `csv,e57,pcd`.
     also: Option<String>,
     /// Of rays: the mesh, `sha256:…`.
     mesh: Option<String>,

@@ -271,7 +271,12 @@ fn mistakes_are_said_with_what_to_do() {
         422,
         "frame: a job of this kind has none",
     );
-    wrong("kind=scan&also=xyz", &text, 422, "expected of csv, e57");
+    wrong(
+        "kind=scan&also=xyz",
+        &text,
+        422,
+        "expected of csv, e57, pcd",
+    );
     wrong("kind=paint", &text, 400, "unknown variant");
     wrong("kind=rays&mesh=part.stl", "{}", 422, "expected sha256:");
     wrong(
