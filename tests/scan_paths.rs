@@ -3,6 +3,7 @@
 
 mod program;
 
+use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec3, Rigid};
 use lasertrace::plan::rules::EffectKind;
 use lasertrace::run::{Simulation, scene_plan};
@@ -315,4 +316,265 @@ fn a_wrong_path_is_refused_with_file_line_key_found_and_expected() {
             &[message, "expected"],
         );
     }
+}
+
+/// Five poses of a robot drawn from a seed: fixed angles (x, y, z, degrees) and positions, mm.
+fn robot_poses(seed: u64) -> Vec<([f64; 3], [f64; 3])> {
+    let key = Key::new(seed, Purpose::SensorNoise);
+    let number = |k: u64, i: u64, most: f64| most * (2.0 * key.with(k).uniform(i) - 1.0);
+    (0..5)
+        .map(|k| {
+            let angles = [0, 1, 2].map(|i| number(k, i, 80.0));
+            (angles, [3, 4, 5].map(|i| number(k, i, 900.0)))
+        })
+        .collect()
+}
+
+fn rigid((angles, position): ([f64; 3], [f64; 3])) -> Rigid {
+    let angles = DVec3::from(angles).map(f64::to_radians);
+    Rigid::from_euler_xyz(angles, position.into())
+}
+
+/// The unit quaternion x, y, z, w of fixed angles.
+fn quaternion(angles: [f64; 3]) -> [f64; 4] {
+    let [x, y, z] = angles.map(f64::to_radians);
+    let turn = glam::DQuat::from_rotation_z(z)
+        * glam::DQuat::from_rotation_y(y)
+        * glam::DQuat::from_rotation_x(x);
+    turn.to_array()
+}
+
+/// Lines of a file: names of columns, then the numbers of each pose.
+fn table(
+    separator: &str,
+    header: &str,
+    poses: &[([f64; 3], [f64; 3])],
+    numbers: impl Fn(usize, [f64; 3], [f64; 3]) -> Vec<f64>,
+) -> String {
+    let line = |(k, &(angles, position)): (usize, &([f64; 3], [f64; 3]))| {
+        let texts = numbers(k, angles, position)
+            .into_iter()
+            .map(|x| format!("{x:.15}"));
+        texts.collect::<Vec<_>>().join(separator)
+    };
+    let lines: Vec<String> = poses.iter().enumerate().map(line).collect();
+    format!("{header}\n{}\n", lines.join("\n"))
+}
+
+/// Poses in the conventions of robots give the same path: units, order of the quaternion, A-B-C angles, times,
+/// separators, comments, with a header or with names in the scene. Numbers are written with 15 decimals:
+/// rounding of the quaternion turns by 1e-15, and moves nothing.
+#[test]
+fn the_conventions_of_robots_give_the_same_path() {
+    for seed in 1..=3 {
+        let poses = robot_poses(seed);
+        let quaternions = |k: usize, angles, [x, y, z]: [f64; 3]| {
+            let q = quaternion(angles);
+            let position = [x / 1e3, y / 1e3, z / 1e3];
+            [&[k as f64 * 0.1][..], &position, &q].concat()
+        };
+        let header = "time_s;x_m;y_m;z_m;qx;qy;qz;qw";
+        let metres = table(";", header, &poses, quaternions);
+        let names: Vec<String> = header.split(';').map(|name| format!("{name:?}")).collect();
+        let columns = format!("poses_columns = [{}]\n", names.join(", "));
+        let numbers = metres.split_once('\n').unwrap().1;
+        let abc = table(
+            "\t",
+            "x_mm\ty_mm\tz_mm\ta_deg\tb_deg\tc_deg",
+            &poses,
+            |_, angles, [x, y, z]| {
+                let [about_x, about_y, about_z] = angles;
+                vec![x, y, z, about_z, about_y, about_x]
+            },
+        );
+        let files = [
+            ("semicolons", String::new(), metres.clone()),
+            ("decimal commas", String::new(), metres.replace('.', ",")),
+            (
+                "comments",
+                String::new(),
+                format!(
+                    "# robot 7\n\n# base\n{}",
+                    metres.replace("\n-", "\n# here\n-")
+                ),
+            ),
+            ("no header", columns.clone(), numbers.to_owned()),
+            (
+                "spaces",
+                columns.clone(),
+                format!("# timestamp tx ty tz\n{}", numbers.replace(';', "  ")),
+            ),
+            (
+                "another header",
+                columns.clone(),
+                format!("t;X;Y;Z;i;j;k;w\n{numbers}"),
+            ),
+            ("A-B-C", String::new(), abc),
+        ];
+        for (kind, keys, text) in files {
+            let folder = folder_with(&with_scan(&format!("poses = \"path.csv\"\n{keys}")));
+            fs::write(folder.path().join("path.csv"), text).unwrap();
+            let scene = load(folder.path());
+            assert_eq!(scene.scan.frames, 5, "{kind}");
+            for (frame, &pose) in (0..).zip(&poses) {
+                let found = scene.scan.world_from_head(f64::from(frame));
+                let expected = rigid(pose);
+                let turned = (found.rotation - expected.rotation).to_cols_array();
+                let turned = turned.iter().all(|x| x.abs() < 1e-13);
+                let moved = found.translation.distance(expected.translation);
+                assert!(
+                    turned && moved < 1e-11,
+                    "{kind}, seed {seed}, frame {frame}: {moved}"
+                );
+            }
+        }
+    }
+}
+
+/// Poses of the flange, each followed by the head's pose on it; and frames at times between those of poses.
+#[test]
+fn a_head_on_a_flange_and_frames_between_poses_are_where_they_belong() {
+    for seed in 1..=3 {
+        let poses = robot_poses(seed);
+        let header = "time_ms,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg";
+        let text = table(",", header, &poses, |k, a, p| {
+            [&[k as f64 * 40.0][..], &p, &a].concat()
+        });
+        let scan = "poses = \"path.csv\"\nframe_times = \"times.txt\"\n\
+                    hand_eye = { position_mm = [10, -20, 120], rotation_deg = [5, 0, -90] }";
+        let folder = folder_with(&with_scan(scan));
+        fs::write(folder.path().join("path.csv"), text).unwrap();
+        let times = "# trigger\ntime_s\n0\n0.01\n0.04\n0.16\n";
+        fs::write(folder.path().join("times.txt"), times).unwrap();
+        let scene = load(folder.path());
+        assert_eq!(scene.scan.frames, 4);
+        let on_flange = rigid(([5.0, 0.0, -90.0], [10.0, -20.0, 120.0]));
+        for (frame, pose) in [(0, poses[0]), (2, poses[1]), (3, poses[4])] {
+            let expected = rigid(pose) * on_flange;
+            assert_close(
+                &scene.scan.world_from_head(f64::from(frame)),
+                &expected,
+                frame,
+            );
+        }
+        // A quarter of the way, and of the turn, from the first flange to the second.
+        let (a, b) = (rigid(poses[0]), rigid(poses[1]));
+        let flange = scene.scan.world_from_head(1.0) * on_flange.inverse();
+        assert!(
+            flange
+                .translation
+                .distance(a.translation.lerp(b.translation, 0.25))
+                < 1e-9
+        );
+        let angle = |from: &Rigid, to: &Rigid| {
+            let turn = glam::DQuat::from_mat3(&(from.rotation.transpose() * to.rotation));
+            2.0 * turn.w.abs().min(1.0).acos()
+        };
+        assert!((angle(&a, &flange) - 0.25 * angle(&a, &b)).abs() < 1e-7);
+    }
+}
+
+/// Keys of `[scan]`, the file of poses, that of times, and what the message then holds.
+const CONVENTIONS: &[(&str, &str, &str, &str)] = &[
+    (
+        "",
+        "x_m,y_mm,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "",
+        "path.csv:1: found \"x_m,y_mm,z_m,qx,qy,qz,qw\" (x_m and y_mm, of two units), expected the header",
+    ),
+    (
+        "",
+        "x_m,y_m,z_m,rx_deg,ry_deg,qw\n0,0,0,0,0,1\n",
+        "",
+        "(two kinds of rotation)",
+    ),
+    (
+        "",
+        "x_m,y_m,z_m,qx,qy,qz\n0,0,0,0,0,1\n",
+        "",
+        "(3 of 4 parts of a quaternion)",
+    ),
+    (
+        "",
+        "x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "",
+        "(the unknown column \"x\")",
+    ),
+    (
+        "",
+        "0;0;0;0;0;0;1\n",
+        "",
+        "path.csv:1: found \"0,0,0,0,0,0,1\", expected the header",
+    ),
+    (
+        "poses_columns = [\"x_m\", \"y_m\", \"z_m\", \"qx\", \"qy\", \"qz\", \"qw\"]",
+        "x_mm,y_mm,z_mm,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "",
+        "path.csv:1: found the header \"x_mm,y_mm,z_mm,qx,qy,qz,qw\", expected x_m,y_m,z_m,qx,qy,qz,qw, as \
+         scan.poses_columns states",
+    ),
+    (
+        "poses_columns = [\"x_m\", \"y_m\"]",
+        "0,0\n",
+        "",
+        "scan.poses_columns: found [\"x_m\", \"y_m\"], expected x_mm,y_mm,z_mm or x_m,y_m,z_m;",
+    ),
+    (
+        "poses_columns = [\"x_m\", \"y_m\", \"z_m\", \"a_deg\", \"b_deg\", \"c_deg\"]",
+        "# no header\n0 0 1 0 361 0\n",
+        "",
+        "path.csv:2: b_deg: found \"361\", expected an angle",
+    ),
+    (
+        "",
+        "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n# late\n1,0,0,0,0,0,0,1\n",
+        "",
+        "path.csv:4: time: found 1 s, expected a time after 1 s",
+    ),
+    (
+        "frame_times = \"times.txt\"",
+        "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "time_s\n0\n",
+        "scan.frame_times: found \"times.txt\", expected none beside a file of poses without",
+    ),
+    (
+        "frame_times = \"times.txt\"",
+        "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n2,0,0,0,0,0,0,1\n",
+        "time_ms\n1500\n2500\n",
+        "times.txt: found 2.5 s, expected times from 1 s to 2 s, as in",
+    ),
+    (
+        "frame_times = \"times.txt\"",
+        "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n2,0,0,0,0,0,0,1\n",
+        "1.5\n",
+        "times.txt:1: found \"1.5\", expected the header time_s or time_ms",
+    ),
+    (
+        "moves = \"part\"\nhand_eye = { position_mm = [0, 0, 1] }",
+        "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "",
+        "scan.hand_eye: found",
+    ),
+    (
+        "start_mm = [0, 0, 1]\nhand_eye = { position_mm = [0, 0, 1] }",
+        "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0,0,0,1\n",
+        "",
+        "expected none beside scan.start_mm",
+    ),
+];
+
+#[test]
+fn a_wrong_convention_of_poses_is_reported() {
+    for (keys, poses, times, message) in CONVENTIONS {
+        let folder = folder_with(&with_scan(&format!("poses = \"path.csv\"\n{keys}")));
+        fs::write(folder.path().join("path.csv"), poses).unwrap();
+        fs::write(folder.path().join("times.txt"), times).unwrap();
+        assert_error(folder.path(), &["check", "scene.toml"], 65, &[message]);
+    }
+    let keys =
+        "frames = 3\nhand_eye = { position_mm = [0, 0, 1] }\nROTARY".replace("ROTARY", ROTARY);
+    let folder = folder_with(&with_scan(&keys));
+    let message =
+        "scan.hand_eye: found { position_mm = [0, 0, 1] }, expected none without scan.poses";
+    assert_error(folder.path(), &["check", "scene.toml"], 65, &[message]);
 }

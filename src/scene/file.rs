@@ -437,16 +437,39 @@ pub struct ScanTable {
     #[serde(default, deserialize_with = "array")]
     pub start_mm: [f64; 3],
     pub rotary: Option<RotaryTable>,
-    /// CSV file of one pose a frame, relative to the scene file: a header line
-    /// `x_mm,y_mm,z_mm` and then `rx_deg,ry_deg,rz_deg` (as part.rotation_deg) or
-    /// `qw,qx,qy,qz`; then one line of numbers a frame.
+    /// File of one pose a frame, relative to the scene file: a header line, then one line of
+    /// numbers a frame. The header names the columns in any order: `x_mm,y_mm,z_mm` or
+    /// `x_m,y_m,z_m`; `rx_deg,ry_deg,rz_deg` (as part.rotation_deg), `a_deg,b_deg,c_deg` (about
+    /// z, then the new y, then the new x axis) or `qx,qy,qz,qw`; and `time_s` or `time_ms` if there are times.
+    /// Commas, semicolons, tabs or spaces separate values; a line that begins with # is a comment.
     pub poses: Option<String>,
+    /// Names of the columns of `poses` where the file has no such header; `-` is a column that is
+    /// not read.
+    pub poses_columns: Option<Vec<String>>,
+    /// Pose of the head on the robot's flange, if `poses` are poses of the flange. Default: they are
+    /// poses of the head.
+    pub hand_eye: Option<HandEyeTable>,
+    /// File of the time of each frame, relative to the scene file: a header line `time_s` or
+    /// `time_ms`, then a number per line. Poses are interpolated at these times, which must be within
+    /// the times of `poses`. Default: a frame at each pose.
+    pub frame_times: Option<String>,
     /// Frames a second: says how far the path goes in one exposure.
     pub frame_rate_hz: Option<f64>,
     /// Poses within one exposure, evenly spread about that of the frame, whose
     /// light is averaged, 1 to 64. Default: 1, at rest during the exposure.
     #[serde(default = "one_pose")]
     pub exposure_poses: u32,
+}
+
+/// Pose of the head in the frame of the robot's flange.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HandEyeTable {
+    #[serde(default, deserialize_with = "array")]
+    pub position_mm: [f64; 3],
+    /// Rotation about the flange's x, then y, then z axis.
+    #[serde(default, deserialize_with = "array")]
+    pub rotation_deg: [f64; 3],
 }
 
 /// What moves from frame to frame.

@@ -1,9 +1,9 @@
 //! The path of a scan: where head and part are in each frame, and between frames.
 
-use super::file::{Moves, RotaryTable, ScanTable};
-use super::poses;
+use super::file::{HandEyeTable, Moves, RotaryTable, ScanTable};
+use super::poses::{self, EXPECTED_COLUMNS, Layout, PoseList};
 use super::resolver::Resolver;
-use crate::error::Result;
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;
 use serde::Serialize;
@@ -128,6 +128,28 @@ fn between(a: &Rigid, b: &Rigid, share: f64) -> Rigid {
     }
 }
 
+/// The poses at the `wanted` times, of `poses` at `known` times; both rise. The error is the first time
+/// outside the known ones.
+fn at_times(
+    poses: &[Rigid],
+    known: &[f64],
+    wanted: &[f64],
+) -> std::result::Result<Vec<Rigid>, f64> {
+    let pose = |&time: &f64| {
+        let after = known.partition_point(|&known| known < time);
+        match known.get(after) {
+            Some(&at) if at == time => Ok(poses[after]),
+            Some(&at) if after > 0 => {
+                let before = known[after - 1];
+                let share = (time - before) / (at - before);
+                Ok(between(&poses[after - 1], &poses[after], share))
+            }
+            _ => Err(time),
+        }
+    };
+    wanted.iter().map(pose).collect()
+}
+
 impl ScanPath {
     /// Where the head is; `place` is a number of a frame, with fractions between two.
     pub fn world_from_head(&self, place: f64) -> Rigid {
@@ -181,7 +203,7 @@ impl Resolver<'_> {
                     "scan.frames",
                     "no frames beside scan.poses: the file of poses has one line a frame",
                 )?;
-                let (file, poses, hash) = self.poses(file, "scan.poses")?;
+                let (file, poses, hash) = self.pose_of_each_frame(table, file)?;
                 let frames = poses.len() as u32;
                 let poses = poses.into();
                 (Motion::Poses { file, poses }, frames, hash)
@@ -195,6 +217,14 @@ impl Resolver<'_> {
             let expected = "none beside scan.rotary or scan.poses, which say how the path goes";
             self.check(table.step_mm.is_none(), "scan.step_mm", expected)?;
             self.check(table.direction.is_none(), "scan.direction", expected)?;
+        }
+        for (given, key) in [
+            (table.poses_columns.is_some(), "scan.poses_columns"),
+            (table.hand_eye.is_some(), "scan.hand_eye"),
+            (table.frame_times.is_some(), "scan.frame_times"),
+        ] {
+            let expected = "none without scan.poses, whose file it describes";
+            self.check(!given || table.poses.is_some(), key, expected)?;
         }
         let path = ScanPath {
             frames,
@@ -242,14 +272,82 @@ impl Resolver<'_> {
         })
     }
 
+    /// Where the moving body is in each frame, by the file of poses.
+    fn pose_of_each_frame(
+        &self,
+        table: &ScanTable,
+        file: &str,
+    ) -> Result<(PathBuf, Vec<Rigid>, Vec<u8>)> {
+        let layout = match &table.poses_columns {
+            Some(names) => {
+                let layout = Layout::of(names.iter().map(String::as_str));
+                let expected = |reason| format!("{EXPECTED_COLUMNS}; this list has {reason}");
+                let wrong = |reason| self.source.wrong("scan.poses_columns", &expected(reason));
+                Some(layout.map_err(wrong)?)
+            }
+            None => None,
+        };
+        let (file, list, mut hash) = self.poses(file, "scan.poses", layout)?;
+        let mut poses = list.poses;
+        if let Some(name) = &table.frame_times {
+            let key = "scan.frame_times";
+            let times = self.file(name, key, "a file of times")?;
+            let bytes = std::fs::read(&times).map_err(Error::io("read", &times))?;
+            let expected = "none beside a file of poses without a column time_s or time_ms";
+            let known = list.times.ok_or_else(|| self.source.wrong(key, expected))?;
+            let wanted = poses::read_times(&times, &bytes)?;
+            poses = at_times(&poses, &known, &wanted).map_err(|time| {
+                let found = format!("{time} s");
+                let [first, last] = [known[0], known[known.len() - 1]];
+                let expected = format!(
+                    "times from {first} s to {last} s, as in {}",
+                    printable::path(&file)
+                );
+                InputError::new(&times, Place::File, found, expected)
+            })?;
+            hash.extend(Sha256::digest(&bytes));
+        }
+        if let Some(hand_eye) = &table.hand_eye {
+            let key = "scan.hand_eye";
+            let expected = "none where the part moves: part.position_mm and part.rotation_deg are its \
+                            pose on the robot's flange";
+            self.check(table.moves == Moves::Head, key, expected)?;
+            let expected =
+                "none beside scan.start_mm: scan.hand_eye.position_mm is where the head is";
+            self.check(table.start_mm == [0.0; 3], key, expected)?;
+            let flange_from_head = self.hand_eye(hand_eye)?;
+            for pose in &mut poses {
+                *pose = *pose * flange_from_head;
+            }
+        }
+        Ok((file, poses, hash))
+    }
+
+    fn hand_eye(&self, table: &HandEyeTable) -> Result<Rigid> {
+        let position = self.lengths(table.position_mm, "scan.hand_eye.position_mm")?;
+        let angles = table.rotation_deg;
+        self.check(
+            angles.iter().all(|angle| angle.abs() <= 360.0),
+            "scan.hand_eye.rotation_deg",
+            "angles from -360 to 360",
+        )?;
+        let angles = DVec3::from(angles).map(f64::to_radians);
+        Ok(Rigid::from_euler_xyz(angles, position.into()))
+    }
+
     /// The poses of the file that `key` names, where it is, and the bytes that stand for
     /// it in the hash.
-    pub(super) fn poses(&self, file: &str, key: &str) -> Result<(PathBuf, Vec<Rigid>, Vec<u8>)> {
+    pub(super) fn poses(
+        &self,
+        file: &str,
+        key: &str,
+        layout: Option<Layout>,
+    ) -> Result<(PathBuf, PoseList, Vec<u8>)> {
         let file = self.file(file, key, "a CSV file of poses")?;
-        let bytes = std::fs::read(&file).map_err(crate::error::Error::io("read", &file))?;
-        let poses = poses::parse(&file, &bytes)?;
+        let bytes = std::fs::read(&file).map_err(Error::io("read", &file))?;
+        let list = poses::read(&file, &bytes, layout)?;
         let hash = Sha256::digest(&bytes).to_vec();
-        Ok((file, poses, hash))
+        Ok((file, list, hash))
     }
 
     fn exposure(&self, table: &ScanTable, exposure_ms: f64) -> Result<(Option<f64>, u32)> {

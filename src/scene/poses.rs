@@ -1,61 +1,328 @@
-//! A list of poses as robots and tracking systems write them: CSV.
+//! Lists of poses as robots and tracking systems write them: text with a separator.
+//!
+//! The names of the columns state units and conventions: those of the header, or of
+//! `scan.poses_columns` for a file without one.
 
 use crate::error::{Error, InputError, Place, Result};
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::mesh::LARGEST_MM;
 use csv::{ErrorKind, ReaderBuilder, StringRecord, Trim};
 use glam::DQuat;
+use std::fmt;
 use std::path::Path;
 
-const EULER: [&str; 6] = ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"];
-const QUATERNION: [&str; 7] = ["x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"];
+/// The quantity in a column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Quantity {
+    Time,
+    /// Along x, y or z.
+    Position(usize),
+    /// About the fixed x, y or z axis, in this order.
+    Fixed(usize),
+    /// A about z, B about the new y, C about the new x.
+    Abc(usize),
+    /// x, y, z, w.
+    Quaternion(usize),
+    Ignored,
+}
 
-/// The poses of a CSV file in the order of its lines: a header, either
-/// `x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg` (rotations about the fixed x, then y, then
-/// z axis) or `x_mm,y_mm,z_mm,qw,qx,qy,qz` (unit quaternion, real part first); then
-/// numbers. Errors name file, line and column.
+/// Names of columns, their quantities, and the factors that give seconds, millimetres and degrees.
+const COLUMNS: [(&str, Quantity, f64); 19] = [
+    ("time_s", Quantity::Time, 1.0),
+    ("time_ms", Quantity::Time, 1e-3),
+    ("x_mm", Quantity::Position(0), 1.0),
+    ("y_mm", Quantity::Position(1), 1.0),
+    ("z_mm", Quantity::Position(2), 1.0),
+    ("x_m", Quantity::Position(0), 1e3),
+    ("y_m", Quantity::Position(1), 1e3),
+    ("z_m", Quantity::Position(2), 1e3),
+    ("rx_deg", Quantity::Fixed(0), 1.0),
+    ("ry_deg", Quantity::Fixed(1), 1.0),
+    ("rz_deg", Quantity::Fixed(2), 1.0),
+    ("a_deg", Quantity::Abc(0), 1.0),
+    ("b_deg", Quantity::Abc(1), 1.0),
+    ("c_deg", Quantity::Abc(2), 1.0),
+    ("qx", Quantity::Quaternion(0), 1.0),
+    ("qy", Quantity::Quaternion(1), 1.0),
+    ("qz", Quantity::Quaternion(2), 1.0),
+    ("qw", Quantity::Quaternion(3), 1.0),
+    ("-", Quantity::Ignored, 1.0),
+];
+
+/// The columns of a list.
+pub(super) const EXPECTED_COLUMNS: &str = "x_mm,y_mm,z_mm or x_m,y_m,z_m; then rx_deg,ry_deg,rz_deg \
+     (about fixed axes), a_deg,b_deg,c_deg (about z, y', x'') or qx,qy,qz,qw; and time_s or time_ms if there \
+     are times";
+
+/// The meaning of each column of a list.
+#[derive(Debug)]
+pub(super) struct Layout(Vec<(&'static str, Quantity, f64)>);
+
+impl Layout {
+    /// The layout of columns with these names. The error states what is wrong with them.
+    pub(super) fn of<'a>(
+        names: impl IntoIterator<Item = &'a str>,
+    ) -> std::result::Result<Layout, String> {
+        let known = |name: &str| COLUMNS.into_iter().find(|column| column.0 == name);
+        let columns = names
+            .into_iter()
+            .map(|name| known(name).ok_or_else(|| format!("the unknown column {name:?}")))
+            .collect::<std::result::Result<Vec<_>, _>>()?;
+        let layout = Layout(columns);
+        for (i, column) in layout.0.iter().enumerate() {
+            let again = |other: &&(_, Quantity, _)| other.1 == column.1;
+            if column.1 != Quantity::Ignored && layout.0[..i].iter().any(|other| again(&other)) {
+                return Err(format!("{} a second time", column.0));
+            }
+        }
+        let mut scales = layout
+            .0
+            .iter()
+            .filter(|c| matches!(c.1, Quantity::Position(_)));
+        if let Some(first) = scales.next()
+            && let Some(other) = scales.find(|other| other.2 != first.2)
+        {
+            return Err(format!("{} and {}, of two units", first.0, other.0));
+        }
+        layout.require("positions", 3, |q| matches!(q, Quantity::Position(_)))?;
+        let is_fixed = |q| matches!(q, Quantity::Fixed(_));
+        let is_abc = |q| matches!(q, Quantity::Abc(_));
+        let is_quaternion = |q| matches!(q, Quantity::Quaternion(_));
+        let kinds = [
+            layout.any(is_fixed),
+            layout.any(is_abc),
+            layout.any(is_quaternion),
+        ];
+        match kinds.iter().filter(|&&kind| kind).count() {
+            0 => return Err("no rotation".to_owned()),
+            1 => {}
+            _ => return Err("two kinds of rotation".to_owned()),
+        }
+        match kinds {
+            [true, ..] => layout.require("angles", 3, is_fixed)?,
+            [_, true, _] => layout.require("angles", 3, is_abc)?,
+            _ => layout.require("parts of a quaternion", 4, is_quaternion)?,
+        }
+        Ok(layout)
+    }
+
+    fn any(&self, is: impl Fn(Quantity) -> bool) -> bool {
+        self.0.iter().any(|column| is(column.1))
+    }
+
+    fn require(
+        &self,
+        what: &str,
+        count: usize,
+        is: impl Fn(Quantity) -> bool,
+    ) -> std::result::Result<(), String> {
+        let found = self.0.iter().filter(|column| is(column.1)).count();
+        match found == count {
+            true => Ok(()),
+            false => Err(format!("{found} of {count} {what}")),
+        }
+    }
+
+    fn has_times(&self) -> bool {
+        self.any(|quantity| quantity == Quantity::Time)
+    }
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let names: Vec<&str> = self.0.iter().map(|column| column.0).collect();
+        f.write_str(&names.join(","))
+    }
+}
+
+/// A list of poses.
+#[derive(Debug)]
+pub(super) struct PoseList {
+    pub poses: Vec<Rigid>,
+    /// The time of each pose, s, rising; `None` if there is no column of times.
+    pub times: Option<Vec<f64>>,
+}
+
+/// The poses of a file in the order of its lines; see [`read`].
 pub fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
+    read(file, bytes, None).map(|list| list.poses)
+}
+
+/// Reads a list of poses: a header that names the columns ([`EXPECTED_COLUMNS`]), then numbers. With
+/// `layout` the header may be absent. Values are separated by commas, semicolons (then with decimal
+/// points or commas), tabs or spaces; lines that begin with # are comments. Errors name file, line
+/// and column.
+pub(super) fn read(file: &Path, bytes: &[u8], layout: Option<Layout>) -> Result<PoseList> {
+    let separator = separator(bytes);
     let mut reader = ReaderBuilder::new()
         .trim(Trim::All)
         .flexible(true)
+        .has_headers(false)
+        .comment(Some(b'#'))
+        .delimiter(separator)
         .from_reader(bytes);
-    let header = reader.headers().map_err(|e| unreadable(file, &e))?.clone();
-    let columns: &[&str] = match () {
-        () if header == EULER[..] => &EULER,
-        () if header == QUATERNION[..] => &QUATERNION,
-        () => {
-            let found = header.iter().collect::<Vec<_>>().join(",");
-            let expected = format!("the header {} or {}", EULER.join(","), QUATERNION.join(","));
-            let place = place(bytes, &header);
-            return Err(InputError::new(file, place, format!("{found:?}"), expected).into());
+    let mut records = reader.records().peekable();
+    let first: Vec<String> = match records.peek() {
+        Some(Ok(first)) => values(separator, first)
+            .into_iter()
+            .map(str::to_owned)
+            .collect(),
+        _ => Vec::new(),
+    };
+    let is_text = |text: &String| number(separator, text).is_none();
+    let is_header = !first.is_empty() && first.iter().all(is_text);
+    let layout = match (layout, Layout::of(first.iter().map(String::as_str))) {
+        (None, Ok(layout)) => layout,
+        (Some(layout), Ok(header)) if layout.0 != header.0 => {
+            let place = records.peek().map(|first| place_of(bytes, first));
+            let found = format!("the header \"{header}\"");
+            let expected =
+                format!("{layout}, as scan.poses_columns states, or a scene without this key");
+            return Err(
+                InputError::new(file, place.unwrap_or(Place::File), found, expected).into(),
+            );
+        }
+        (Some(layout), _) => layout,
+        (None, Err(reason)) => {
+            let place = match records.next() {
+                Some(Err(error)) => return Err(unreadable(file, &error)),
+                Some(Ok(first)) => place(bytes, &first),
+                None => Place::Line(1),
+            };
+            let found = match is_header {
+                true => format!("{:?} ({reason})", first.join(",")),
+                false => format!("{:?}", first.join(",")),
+            };
+            let expected =
+                format!("the header {EXPECTED_COLUMNS}; or scan.poses_columns to name them");
+            return Err(InputError::new(file, place, found, expected).into());
         }
     };
-    let poses = reader
-        .records()
-        .map(|record| {
-            let record = record.map_err(|e| unreadable(file, &e))?;
-            pose(columns, &record).map_err(|(column, found, expected)| {
-                let mut error = InputError::new(file, place(bytes, &record), found, expected);
-                error.key = column.map(str::to_owned);
-                error.into()
-            })
-        })
-        .collect::<Result<Vec<_>>>()?;
-    if poses.is_empty() || poses.len() > u32::MAX as usize {
-        let found = format!("{} poses", poses.len());
+    if is_header {
+        records.next();
+    }
+    let mut list = PoseList {
+        poses: Vec::new(),
+        times: layout.has_times().then(Vec::new),
+    };
+    for record in records {
+        let record = record.map_err(|error| unreadable(file, &error))?;
+        let wrong = |(column, found, expected): Mistake| {
+            let mut error = InputError::new(file, place(bytes, &record), found, expected);
+            error.key = column.map(str::to_owned);
+            error
+        };
+        let (time, pose) = pose(&layout, separator, &record).map_err(wrong)?;
+        list.poses.push(pose);
+        if let Some(times) = &mut list.times {
+            if let Some(&last) = times.last()
+                && time <= last
+            {
+                let (found, expected) = (format!("{time} s"), format!("a time after {last} s"));
+                return Err(wrong((Some("time"), found, expected)).into());
+            }
+            times.push(time);
+        }
+    }
+    if list.poses.is_empty() || list.poses.len() > u32::MAX as usize {
+        let found = format!("{} poses", list.poses.len());
         let error = InputError::new(file, Place::File, found, "from 1 to 4294967295");
         return Err(error.into());
     }
-    Ok(poses)
+    Ok(list)
 }
 
-/// Where a record stands. The reader's own position is before the blank lines that it
+/// The times of a file, s: one a line under the header `time_s` or `time_ms`, rising. Errors name file
+/// and line.
+pub(super) fn read_times(file: &Path, bytes: &[u8]) -> Result<Vec<f64>> {
+    let wrong = |line: usize, found: String, expected: &str| {
+        Error::from(InputError::new(file, Place::Line(line), found, expected))
+    };
+    let text = String::from_utf8_lossy(bytes);
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    let lines = (1..).zip(text.lines().map(str::trim));
+    let mut lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    let header = "the header time_s or time_ms, then one number a line";
+    let scale = match lines.next() {
+        Some((_, "time_s")) => 1.0,
+        Some((_, "time_ms")) => 1e-3,
+        Some((line, other)) => return Err(wrong(line, format!("{other:?}"), header)),
+        None => return Err(wrong(1, "\"\"".into(), header)),
+    };
+    let mut times: Vec<f64> = Vec::new();
+    for (line, text) in lines {
+        let time = text.parse::<f64>().ok().filter(|time| time.is_finite());
+        let expected = "one number, the time of a frame";
+        let time = time.ok_or_else(|| wrong(line, format!("{text:?}"), expected))? * scale;
+        if let Some(last) = times.last().filter(|&&last| time <= last) {
+            return Err(wrong(
+                line,
+                format!("{time} s"),
+                &format!("a time after {last} s"),
+            ));
+        }
+        times.push(time);
+    }
+    if times.is_empty() || times.len() > u32::MAX as usize {
+        let found = format!("{} times", times.len());
+        return Err(InputError::new(file, Place::File, found, "from 1 to 4294967295").into());
+    }
+    Ok(times)
+}
+
+/// The separator of the first line that is neither blank nor a comment.
+fn separator(bytes: &[u8]) -> u8 {
+    let lines = bytes.split(|&b| b == b'\n').map(<[u8]>::trim_ascii);
+    let mut lines = lines.filter(|line| !line.is_empty() && !line.starts_with(b"#"));
+    let first = lines.next().unwrap_or_default();
+    let separators = [b';', b'\t', b','].into_iter();
+    let found = separators
+        .into_iter()
+        .find(|separator| first.contains(separator));
+    match found {
+        None if first.contains(&b' ') => b' ',
+        found => found.unwrap_or(b','),
+    }
+}
+
+/// The texts between separators; any number of spaces or tabs is one separator.
+fn values(separator: u8, record: &StringRecord) -> Vec<&str> {
+    let blank = matches!(separator, b' ' | b'\t');
+    record
+        .iter()
+        .filter(|text| !(blank && text.is_empty()))
+        .collect()
+}
+
+/// The number in a text; a decimal comma is one of files separated by semicolons.
+fn number(separator: u8, text: &str) -> Option<f64> {
+    match separator {
+        b';' if text.matches(',').count() == 1 && !text.contains('.') => {
+            text.replace(',', ".").parse().ok()
+        }
+        _ => text.parse().ok(),
+    }
+}
+
+fn place_of(bytes: &[u8], record: &csv::Result<StringRecord>) -> Place {
+    record
+        .as_ref()
+        .map_or(Place::File, |record| place(bytes, record))
+}
+
+/// The line of a record. The position that the reader states is before the blank lines and comments that it
 /// skips.
 fn place(bytes: &[u8], record: &StringRecord) -> Place {
-    let start = record.position().map_or(0, |at| at.byte() as usize);
-    let blank = |b: &&u8| matches!(b, b'\r' | b'\n');
-    let skipped = bytes[start..].iter().take_while(blank).count();
-    let before = &bytes[..start + skipped];
+    let mut start = record.position().map_or(0, |at| at.byte() as usize);
+    loop {
+        let blank = |b: &&u8| matches!(b, b'\r' | b'\n');
+        start += bytes[start..].iter().take_while(blank).count();
+        match bytes.get(start) {
+            Some(b'#') => start += bytes[start..].iter().take_while(|&&b| b != b'\n').count(),
+            _ => break,
+        }
+    }
+    let before = &bytes[..start];
     Place::Line(1 + before.iter().filter(|&&b| b == b'\n').count())
 }
 
@@ -71,46 +338,58 @@ fn unreadable(file: &Path, error: &csv::Error) -> Error {
     InputError::new(file, place, found, "CSV text").into()
 }
 
-/// A line's pose, or the column at fault, what it holds and what was expected.
-fn pose<'a>(
-    columns: &[&'a str],
+/// The column with the mistake, its text, and the expected values.
+type Mistake = (Option<&'static str>, String, String);
+
+/// A line's time and pose.
+fn pose(
+    layout: &Layout,
+    separator: u8,
     record: &StringRecord,
-) -> std::result::Result<Rigid, (Option<&'a str>, String, String)> {
-    if record.len() != columns.len() {
-        let expected = format!("{}, one a column", columns.len());
-        return Err((None, format!("{} values", record.len()), expected));
+) -> std::result::Result<(f64, Rigid), Mistake> {
+    let texts = values(separator, record);
+    if texts.len() != layout.0.len() {
+        let expected = format!("{}, one a column", layout.0.len());
+        return Err((None, format!("{} values", texts.len()), expected));
     }
-    let mut values = [0.0; 7];
-    for ((value, text), &column) in values.iter_mut().zip(record).zip(columns) {
-        let (limit, expected) = match column {
-            _ if column.ends_with("_mm") => (LARGEST_MM, "a number within 1e12 mm"),
-            _ if column.ends_with("_deg") => (360.0, "an angle from -360 to 360"),
-            _ => (1.01, "a number from -1 to 1"),
+    let (mut time, mut position) = (0.0, [0.0; 3]);
+    let (mut fixed, mut abc, mut quaternion) = ([0.0; 3], [0.0; 3], [0.0; 4]);
+    for (text, &(name, quantity, scale)) in texts.into_iter().zip(&layout.0) {
+        let (to, limit, expected) = match quantity {
+            Quantity::Time => (&mut time, 1e15, "a number, the time of the pose"),
+            Quantity::Position(i) => (&mut position[i], LARGEST_MM, "a number within 1e12 mm"),
+            Quantity::Fixed(i) => (&mut fixed[i], 360.0, "an angle from -360 to 360"),
+            Quantity::Abc(i) => (&mut abc[i], 360.0, "an angle from -360 to 360"),
+            Quantity::Quaternion(i) => (&mut quaternion[i], 1.01, "a number from -1 to 1"),
+            Quantity::Ignored => continue,
         };
         // Not a number fails as NaN does.
-        *value = text.parse().unwrap_or(f64::NAN);
+        let value = scale * number(separator, text).unwrap_or(f64::NAN);
         let holds = value.abs() <= limit;
         if !holds {
-            return Err((Some(column), format!("{text:?}"), expected.to_owned()));
+            return Err((Some(name), format!("{text:?}"), expected.to_owned()));
         }
+        *to = value;
     }
-    let [x, y, z, a, b, c, d] = values;
-    let position = DVec3::new(x, y, z);
-    if columns.len() == EULER.len() {
-        let angles = DVec3::new(a, b, c).map(f64::to_radians);
-        return Ok(Rigid::from_euler_xyz(angles, position));
+    let position = DVec3::from(position);
+    if layout.any(|quantity| matches!(quantity, Quantity::Quaternion(_))) {
+        let quaternion = DQuat::from_array(quaternion);
+        let length = quaternion.length();
+        // Room for three digits; past that the four numbers are something else.
+        if (length - 1.0).abs() > 0.01 {
+            let found = format!("a quaternion of length {length:.4}");
+            return Err((None, found, "length 1".to_owned()));
+        }
+        let pose = Rigid {
+            rotation: DMat3::from_quat(quaternion.normalize()),
+            translation: position,
+        };
+        return Ok((time, pose));
     }
-    let quaternion = DQuat::from_xyzw(b, c, d, a);
-    let length = quaternion.length();
-    // Room for three digits; past that the four numbers are something else.
-    if (length - 1.0).abs() > 0.01 {
-        let found = format!("a quaternion of length {length:.4}");
-        return Err((None, found, "length 1".to_owned()));
-    }
-    Ok(Rigid {
-        rotation: DMat3::from_quat(quaternion.normalize()),
-        translation: position,
-    })
+    let [a, b, c] = abc;
+    // One of the two kinds is zero.
+    let angles = (DVec3::from(fixed) + DVec3::new(c, b, a)).map(f64::to_radians);
+    Ok((time, Rigid::from_euler_xyz(angles, position)))
 }
 
 #[cfg(test)]

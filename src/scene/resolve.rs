@@ -428,8 +428,8 @@ impl Resolver<'_> {
             (Some(scene), _) => Ok((scene.copies.clone(), Vec::new())),
             (None, None) => Ok((vec![Rigid::IDENTITY].into(), Vec::new())),
             (None, Some(file)) => {
-                let (_, poses, hash) = self.poses(file, "part.copies")?;
-                Ok((poses.into(), hash))
+                let (_, list, hash) = self.poses(file, "part.copies", None)?;
+                Ok((list.poses.into(), hash))
             }
         }
     }

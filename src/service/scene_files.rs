@@ -7,7 +7,15 @@ use std::collections::BTreeSet;
 use std::fs;
 
 /// Last words of the keys whose value is a file.
-const FILE_KEYS: [&str; 6] = ["sensor", "scene", "file", "copies", "poses", "calibration"];
+const FILE_KEYS: [&str; 7] = [
+    "sensor",
+    "scene",
+    "file",
+    "copies",
+    "poses",
+    "frame_times",
+    "calibration",
+];
 /// Those of files that may name files themselves.
 const SCENE_KEYS: [&str; 2] = ["sensor", "scene"];
 /// Bytes of a sensor's or a scene's file.

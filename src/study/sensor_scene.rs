@@ -17,7 +17,7 @@ const SHAPE: [&str; 8] = [
     "rotation_deg",
 ];
 /// Keys of `[scan]` that say how the path goes, not how it is exposed.
-const PATH: [&str; 7] = [
+const PATH: [&str; 10] = [
     "frames",
     "moves",
     "step_mm",
@@ -25,6 +25,9 @@ const PATH: [&str; 7] = [
     "start_mm",
     "rotary",
     "poses",
+    "poses_columns",
+    "hand_eye",
+    "frame_times",
 ];
 
 /// A sensor's file, or a scene whose sensor, surface and measurement are meant.

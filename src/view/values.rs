@@ -59,10 +59,11 @@ pub enum Files {
 }
 
 /// Keys of files.
-const FILES: [&str; 4] = [
+const FILES: [&str; 5] = [
     "part.mesh.file",
     "part.copies",
     "scan.poses",
+    "scan.frame_times",
     "measure.calibration",
 ];
 /// Positions in the head's frame, and directions.
