@@ -335,6 +335,50 @@ fn a_line_is_found_in_an_image_of_the_users() {
     assert!(!path.join("x").exists());
 }
 
+/// An image of `render` states the bits of its counts, so the line of an overexposed sensor is flagged, and
+/// of a well exposed one is not.
+#[test]
+fn the_saturation_of_a_rendered_image_is_known() {
+    for (bits, exposure_ms, flagged) in [
+        (10, 0.002, false),
+        (12, 0.005, false),
+        (10, 1.0, true),
+        (12, 1.0, true),
+    ] {
+        let text = scene(PLANE).replace("bit_depth = 10", &format!("bit_depth = {bits}"));
+        let text = text.replace(
+            "exposure_ms = 0.01",
+            &format!("exposure_ms = {exposure_ms}"),
+        );
+        let text = text.replace("full_well_e = 50000", "full_well_e = 500000");
+        let folder = folder_with(&text);
+        let render = ["render", "scene.toml", "--frame", "1", "-o", "out"];
+        assert_eq!(run(folder.path(), &render).0, 0);
+        let peaks = ["peaks", "--image", "out/frame-000001.png", "-o", "line"];
+        assert_eq!(run(folder.path(), &peaks).0, 0);
+        let line = fs::read(folder.path().join("line/line.json")).unwrap();
+        let line: serde_json::Value = serde_json::from_slice(&line).unwrap();
+        assert_eq!(line["saturation_dn"], (1 << bits) - 1);
+        let finder = &line["finders"][0];
+        assert!(finder["points"].as_u64().unwrap() > 50, "{finder}");
+        let table = fs::read_to_string(folder.path().join("line/line.csv")).unwrap();
+        let saturated = table
+            .lines()
+            .filter(|line| line.contains("SATURATED"))
+            .count();
+        assert_eq!(
+            saturated > 4 * 40,
+            flagged,
+            "{bits} bits, {exposure_ms} ms: {saturated}"
+        );
+        assert_eq!(
+            saturated > 0,
+            flagged,
+            "{bits} bits, {exposure_ms} ms: {saturated}"
+        );
+    }
+}
+
 /// A choice that is none is refused by name.
 #[test]
 fn a_wrong_peak_finder_is_named() {

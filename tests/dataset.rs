@@ -211,3 +211,165 @@ fn a_set_says_which_share_of_the_light_was_reflected_once() {
     assert!(share == expected.collect::<Vec<f32>>());
     assert!(share.contains(&0.0) && share.iter().any(|&s| s > 0.9 && s < 1.0));
 }
+
+/// An array of a sample's truth, without its header.
+fn array(npz: &[u8], name: &str) -> Vec<u8> {
+    let mut npz = zip::ZipArchive::new(Cursor::new(npz)).unwrap();
+    let mut file = npz.by_name(name).unwrap();
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).unwrap();
+    values(&bytes).to_vec()
+}
+
+type Image16 = image::ImageBuffer<image::Luma<u16>, Vec<u16>>;
+
+/// The samples of a set by number: image, truth and description.
+fn samples(folder: &Path) -> Vec<(Image16, Vec<u8>, serde_json::Value)> {
+    let mut samples = Vec::new();
+    for (name, tar) in contents(folder) {
+        if !name.ends_with(".tar") {
+            continue;
+        }
+        let files = unpacked(&tar);
+        for (name, png) in files.iter().filter(|(name, _)| name.ends_with(".png")) {
+            let of = |ending: &str| &files[&name.replace(".png", ending)];
+            samples.push((
+                image::load_from_memory(png).unwrap().to_luma16(),
+                of(".npz").clone(),
+                serde_json::from_slice(of(".json")).unwrap(),
+            ));
+        }
+    }
+    samples
+}
+
+/// The noise-free image is the image but for the sensor's noise: without noise in the plan they are equal, and
+/// with it their difference has no mean beyond chance (five standard errors) on the line's pixels. The
+/// mask holds the pixel of the line's centre in each column with light, and only pixels with light.
+#[test]
+fn a_set_has_the_noise_free_image_and_the_mask_of_the_line() {
+    for noise in [false, true] {
+        let folder = set_folder(&RECIPE.replace("samples = 11", "samples = 3"));
+        let text = scene(PLANE).replace("speckle = false", "speckle = true");
+        let text = format!("{text}[plan]\nnoise = {noise}\n");
+        fs::write(folder.path().join("scene.toml"), text).unwrap();
+        let (code, _, stderr) = made(folder.path(), &[]);
+        assert_eq!(code, 0, "{stderr}");
+        for (image, npz, _) in samples(folder.path()) {
+            let columns = image.width() as usize;
+            let clean = array(&npz, "noise_free.npy");
+            let clean = clean
+                .chunks_exact(2)
+                .map(|two| u16::from_le_bytes([two[0], two[1]]));
+            let clean: Vec<f64> = clean.map(f64::from).collect();
+            let mask = array(&npz, "mask.npy");
+            assert_eq!((clean.len(), mask.len()), (image.len(), image.len()));
+            let pairs = image.iter().zip(&clean).zip(&mask);
+            let on_line = pairs.filter(|&(_, &on)| on == 1);
+            let off: Vec<f64> = on_line.map(|((&a, b), _)| f64::from(a) - b).collect();
+            let n = off.len() as f64;
+            assert!(n > 100.0, "{n}");
+            let mean = off.iter().sum::<f64>() / n;
+            let spread = (off.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
+            match noise {
+                false => assert!(image.iter().zip(&clean).all(|(&a, &b)| f64::from(a) == b)),
+                true => assert!(
+                    spread > 0.3 && mean.abs() < 5.0 * spread / n.sqrt(),
+                    "{mean} {spread}"
+                ),
+            }
+            for point in array(&npz, "line.npy").chunks_exact(12) {
+                let column = u32::from_le_bytes(point[..4].try_into().unwrap()) as usize;
+                let row = f64::from_le_bytes(point[4..].try_into().unwrap());
+                let is_lit = |row: usize| mask[row * columns + column] == 1;
+                let lit = (0..image.height() as usize).any(is_lit);
+                assert!(!lit || is_lit(row as usize), "column {column}, row {row}");
+            }
+        }
+    }
+}
+
+/// The intrinsics and the pose of the camera bring each measured point back to the pixel that it was measured at: to
+/// rounding, for the scan's calibration is the true one. With distortion and a tilted sensor.
+#[test]
+fn the_intrinsics_of_a_set_project_its_points_to_their_pixels() {
+    for (tilt, distortion) in [
+        ("[0, 0]", ""),
+        (
+            "[3, -2]",
+            "distortion = { k1 = -0.3, k2 = 0.1, k3 = 0.02, p1 = 0.002, p2 = -0.001 }\n",
+        ),
+    ] {
+        let folder = set_folder(&RECIPE.replace("samples = 11", "samples = 3"));
+        let text = scene(PLANE);
+        let lens = format!("tilt_deg = {tilt}\n{distortion}");
+        let text = text.replace("tilt_deg = [0, 0]\n", &lens);
+        fs::write(folder.path().join("scene.toml"), text).unwrap();
+        let (code, _, stderr) = made(folder.path(), &[]);
+        assert_eq!(code, 0, "{stderr}");
+        for (_, npz, about) in samples(folder.path()) {
+            let numbers = |value: &serde_json::Value| -> Vec<f64> {
+                value
+                    .as_array()
+                    .unwrap()
+                    .iter()
+                    .map(|x| x.as_f64().unwrap())
+                    .collect()
+            };
+            let pose: Vec<_> = about["part_from_camera"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(numbers)
+                .collect();
+            let matrix: Vec<_> = about["camera"]["matrix"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(numbers)
+                .collect();
+            let [k1, k2, p1, p2, k3] = numbers(&about["camera"]["distortion"]).try_into().unwrap();
+            let points = array(&npz, "points.npy");
+            assert!(points.len() > 98 * 30);
+            for point in points.chunks_exact(98) {
+                let float = |at: usize| f64::from_le_bytes(point[at..at + 8].try_into().unwrap());
+                let column = u32::from_le_bytes(point[4..8].try_into().unwrap());
+                let place = [float(32), float(40), float(48)];
+                let from_camera = |j: usize| -> f64 {
+                    (0..3).map(|i| pose[i][j] * (place[i] - pose[i][3])).sum()
+                };
+                let (x, y) = (
+                    from_camera(0) / from_camera(2),
+                    from_camera(1) / from_camera(2),
+                );
+                let r2 = x * x + y * y;
+                let radial = 1.0 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2;
+                let behind = [
+                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+                    1.0,
+                ];
+                let row = |i: usize| -> f64 { (0..3).map(|j| matrix[i][j] * behind[j]).sum() };
+                let found = [row(0) / row(2), row(1) / row(2)];
+                let off = [found[0] - f64::from(column) - 0.5, found[1] - float(8)];
+                assert!(off.iter().all(|x| x.abs() < 1e-6), "{tilt}: {off:?}");
+            }
+        }
+    }
+}
+
+/// 16-bit PNG is clipped by decoders that convert to 8 bits: the index names one that does not.
+#[test]
+fn the_index_of_a_set_names_decoders() {
+    let folder = set_folder(&RECIPE.replace("samples = 11", "samples = 1"));
+    assert_eq!(made(folder.path(), &[]).0, 0);
+    let index = fs::read(folder.path().join("out/index.json")).unwrap();
+    let index: serde_json::Value = serde_json::from_slice(&index).unwrap();
+    let files = unpacked(&contents(folder.path())["samples-000000.tar"]);
+    for name in files.keys() {
+        let ending = name.split_once('.').unwrap().1;
+        assert!(index["decoders"][ending].is_string(), "{ending}");
+    }
+    let png = index["decoders"]["png"].as_str().unwrap();
+    assert!(png.contains("IMREAD_UNCHANGED"), "{png}");
+}

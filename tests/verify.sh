@@ -168,14 +168,19 @@ with_mitsuba 'frames while Mitsuba 3 renders the direct light of one' 'the same 
 with_mitsuba 'the chart with Mitsuba 3 as a point' '95 of 100 points of the full model are found in its images' \
     llvm_ad_mono chart 'tests/chart_beside_mitsuba.py target/release/lasertrace scenes/accuracy/scene.toml out/verify/chart'
 
-# A reader of clouds: its name in tests/cloud_readers.py, what it is called, how it is installed
+# Scans once into a folder of clouds: its name, the scene, more arguments
+clouds() {
+    folder=$out/$1 scene=$2
+    shift 2
+    # shellcheck disable=SC2086
+    [ -d "$folder" ] || try scan-clouds cargo run $profile ${features} -- scan --quiet --also e57,pcd "$scene" -o "$folder" "$@"
+}
+
+# A reader of clouds: its name in tests/cloud_readers.py, what it is called, how it is installed, a folder of clouds
 with_reader() {
-    check="clouds in $2" goal='every point with all its columns' command="python3 tests/cloud_readers.py $out/clouds $1"
+    check="$4 in $2" goal='every point with all its columns' command="python3 tests/cloud_readers.py $out/$4 $1"
     # shellcheck disable=SC2086
-    [ -d "$out/clouds" ] || try scan-clouds cargo run $profile ${features} -- scan --quiet --also e57,pcd --frames 60..70 \
-        scenes/bracket/scene.toml -o "$out/clouds"
-    # shellcheck disable=SC2086
-    try "clouds-$1" $command
+    try "$4-$1" $command
     if ! python3 -c "import numpy" 2>/dev/null; then
         skip "$check" "$goal" "no numpy for python3 (pip install numpy)" "$command"
     elif grep -q "not installed" "$log"; then
@@ -185,10 +190,15 @@ with_reader() {
     fi
 }
 
-rm -rf "$out/clouds"
-with_reader cloudcompare CloudCompare 'apt-get install cloudcompare'
-with_reader pye57 pye57 'pip install pye57'
-with_reader pypcd4 pypcd4 'pip install pypcd4'
+rm -rf "$out/clouds" "$out/empty-clouds"
+clouds clouds scenes/bracket/scene.toml --frames 60..70
+# Below the measuring range.
+sed 's/^rotation_deg = \[8, 5, 0\]/&\nposition_mm = [0, 0, -60]/' scenes/plane/scene.toml >"$out/empty.toml"
+clouds empty-clouds "$out/empty.toml"
+with_reader cloudcompare CloudCompare 'apt-get install cloudcompare' clouds
+with_reader pye57 pye57 'pip install pye57' clouds
+with_reader pye57 pye57 'pip install pye57' empty-clouds
+with_reader pypcd4 pypcd4 'pip install pypcd4' clouds
 
 name='all tests on Debian 13 (Embree 4)'
 command='tests/debian13.sh'

@@ -6,7 +6,7 @@ use super::need;
 use super::scan_speckle::{ScanSpeckle, steps_of_speckle};
 use super::surface_view::surface_view;
 use crate::accel::{Accel, Clusters};
-use crate::camera::{Counts, NearLight};
+use crate::camera::{Counts, NearLight, Sensor};
 use crate::error::Result;
 use crate::frame::{
     self, Ghosts, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
@@ -312,6 +312,16 @@ impl Simulation {
     #[doc(hidden)]
     pub fn counts(&self, frame: u32, irradiance: &Irradiance) -> Counts {
         self.readout.counts(irradiance, self.noise(frame))
+    }
+
+    /// Returns the counts of a sensor without noise under the light.
+    pub(crate) fn counts_without_noise(&self, irradiance: &Irradiance) -> Counts {
+        let sensor = Sensor {
+            noise: None,
+            ..self.scene.camera.sensor.clone()
+        };
+        let readout = Readout::new(sensor, self.scene.laser.beam.wavelength, self.scene.seed);
+        readout.counts(irradiance, Key::new(self.scene.seed, Purpose::SensorNoise))
     }
 
     /// The same near the light alone.

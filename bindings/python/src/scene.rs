@@ -113,6 +113,15 @@ impl Scene {
         self.core.camera.sensor.resolution.into()
     }
 
+    /// For pickle: text and folder of the scene. The files it names are read again.
+    fn __reduce__(&self, py: Python<'_>) -> PyResult<(Py<PyAny>, (String, PathBuf))> {
+        let folder = self.core.path.parent().unwrap_or(Path::new(""));
+        // Another process may have another working folder.
+        let folder = std::path::absolute(folder.join("."))?;
+        let make = py.import("lasertrace")?.getattr("_unpickled_scene")?;
+        Ok((make.unbind(), (self.text.clone(), folder)))
+    }
+
     fn __repr__(&self) -> String {
         let (columns, rows) = self.resolution();
         format!(

@@ -82,6 +82,12 @@ impl Simulation {
         })
     }
 
+    /// For pickle: scene and threads. The hierarchy is built again.
+    fn __reduce__(&self, py: Python<'_>) -> PyResult<(Py<PyAny>, (Py<Scene>, usize))> {
+        let make = py.import("lasertrace")?.getattr("_unpickled_simulation")?;
+        Ok((make.unbind(), (self.scene.clone_ref(py), self.threads)))
+    }
+
     /// What is simulated.
     #[getter]
     fn scene(&self, py: Python<'_>) -> Py<Scene> {

@@ -1,6 +1,8 @@
 """Scenes and frames: the bytes of the command line, values by key, threads, interruption."""
 
+import copy
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -55,6 +57,27 @@ class Scenes(unittest.TestCase):
             np.testing.assert_array_equal(image, images[0])
         self.assertEqual((loaded.frames, loaded.resolution), (9, (640, 300)))
         self.assertEqual(loaded.text, text)
+
+    def test_scenes_and_simulations_pass_to_other_processes(self):
+        for path, values in [
+            (PLANE, {}),
+            (PLANE, {"seed": 7, "camera.f_number": 11}),
+            (BRACKET, {"part.rotation_deg": [0, 0, 3]}),
+        ]:
+            scene = Scene.load(path).with_values(values)
+            simulation = Simulation(scene, threads=1)
+            again = pickle.loads(pickle.dumps(simulation))
+            self.assertEqual((again.scene.text, again.scene.frames), (scene.text, scene.frames))
+            np.testing.assert_array_equal(again.frame(2).image, simulation.frame(2).image)
+            self.assertEqual(copy.deepcopy(scene).text, scene.text)
+            # Another process, in another working folder, as loaders of data start them.
+            code = "import pickle, sys; print(pickle.load(sys.stdin.buffer).frame(2).image.sum())"
+            with tempfile.TemporaryDirectory() as folder:
+                found = subprocess.run(
+                    [sys.executable, "-c", code], input=pickle.dumps(simulation), cwd=folder, capture_output=True,
+                )
+            self.assertEqual(found.stderr, b"")
+            self.assertEqual(int(found.stdout), simulation.frame(2).image.sum())
 
     def test_values_change_by_key_and_the_scene_stays(self):
         scene = Scene.load(BRACKET)

@@ -19,6 +19,7 @@ use recipe::Recipe;
 use sample::Set;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::ops::Range;
@@ -41,8 +42,22 @@ struct SetIndex<'a> {
     version: &'static str,
     job: &'a str,
     samples: u64,
+    decoders: BTreeMap<&'static str, &'static str>,
     files: Vec<TarIndex>,
 }
+
+/// How the files of a sample are read in Python, by their ending.
+const DECODERS: [(&str, &str); 4] = [
+    (
+        "png",
+        "16 bits: numpy.asarray(PIL.Image.open(io.BytesIO(data))), or \
+         cv2.imdecode(numpy.frombuffer(data, numpy.uint8), cv2.IMREAD_UNCHANGED). WebDataset's decoders \"l\", \
+         \"rgb\" and \"pil\" convert to 8 bits, which clips at 255: do not use them.",
+    ),
+    ("npz", "numpy.load(io.BytesIO(data))"),
+    ("json", "json.loads(data)"),
+    ("toml", "tomllib.loads(data.decode())"),
+];
 
 /// What a run of `dataset` has done.
 #[derive(Debug, Serialize)]
@@ -230,6 +245,7 @@ fn index(recipe: &Recipe, files: u64, job: &str, out: &Path) -> Result<Option<Pa
         version: env!("CARGO_PKG_VERSION"),
         job,
         samples: recipe.samples,
+        decoders: DECODERS.into(),
         files: found,
     };
     write_json(&path, &set)?;

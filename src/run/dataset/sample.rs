@@ -1,9 +1,10 @@
 //! One sample of a data set: an image and all that is true of it, as files.
 
 use super::recipe::Recipe;
+use crate::camera::CameraModel;
 use crate::error::{Error, Place, Result};
 use crate::frame::{Irradiance, Sheet};
-use crate::math::Rigid;
+use crate::math::{DVec3, Rigid};
 use crate::report::formats::{npy, npy_header};
 use crate::report::picture::encode_counts;
 use crate::run::error_model::camera_from_laser;
@@ -33,6 +34,41 @@ struct Described<'a> {
     /// Three rows of four: where points of the camera's frame lie in the part's, mm.
     part_from_camera: [[f64; 4]; 3],
     part_from_laser: [[f64; 4]; 3],
+    camera: Intrinsics,
+}
+
+/// The map from a point of the camera's frame, (X, Y, Z), to its pixel: the lens distorts
+/// (X/Z, Y/Z) to (x′, y′), and `matrix`·(x′, y′, 1) is the pixel in homogeneous coordinates.
+#[derive(Serialize)]
+struct Intrinsics {
+    /// Columns, rows. The first pixel's centre is at (0.5, 0.5).
+    resolution_px: [u32; 2],
+    /// Row by row, px: [[f, 0, c], [0, f, r], [0, 0, 1]] for a sensor without tilt.
+    matrix: [[f64; 3]; 3],
+    /// k1, k2, p1, p2, k3 of Brown and Conrady, in OpenCV's order.
+    distortion: [f64; 5],
+}
+
+impl Intrinsics {
+    /// The point of the sensor at u, v mm along its axes a and b, with the normal n, is d·z + u·a + v·b in the
+    /// camera's frame, d behind the pupil. A ray λ·r intersects the sensor where λ = d·n_z/(n·r). It follows
+    /// that u·(n·r) = d·(n_z·a − a_z·n)·r; v is analogous.
+    fn of(camera: &CameraModel) -> Intrinsics {
+        let axes = camera.sensor_axes();
+        let n = axes.z_axis;
+        let scale = camera.principal_distance / camera.pixel_pitch;
+        let row = |axis: DVec3, centre: f64| (axis * n.z - n * axis.z) * scale + n * centre;
+        let centre = camera.principal_point;
+        let rows = [row(axes.x_axis, centre.x), row(axes.y_axis, centre.y), n];
+        let lens = camera.distortion;
+        let [k1, k2, k3] = lens.map_or([0.0; 3], |lens| lens.radial);
+        let [p1, p2] = lens.map_or([0.0; 2], |lens| lens.tangential);
+        Intrinsics {
+            resolution_px: camera.resolution.to_array(),
+            matrix: rows.map(|row| (row / n.z).to_array()),
+            distortion: [k1, k2, p1, p2, k3],
+        }
+    }
 }
 
 impl Set<'_> {
@@ -59,7 +95,8 @@ impl Set<'_> {
         let scene = self.scene(&values, seed, &format!("in sample {sample}"))?;
         let simulation = self.base.of_same_part(&scene)?;
         let frame = self.recipe.frame(sample, scene.scan.frames);
-        let image = simulation.image(frame);
+        let light = simulation.irradiance(frame);
+        let image = simulation.counts(frame, &light);
         let (_, points) = simulation.measure(frame, &image);
         let view = simulation.view(frame);
         let described = Described {
@@ -69,10 +106,11 @@ impl Set<'_> {
             values: &values,
             part_from_camera: rows(&view.part_from_camera),
             part_from_laser: rows(&view.part_from_laser),
+            camera: Intrinsics::of(&scene.camera.model()),
         };
         let text = self.recipe.text_with(&self.text, &values, seed)?;
         // Memory takes no disk, so nothing fails here.
-        let truth = truth(&simulation, frame, |out| npy(out, &points))
+        let truth = truth(&simulation, frame, &light, |out| npy(out, &points))
             .map_err(Error::io("write the truth of", &self.recipe.written.path))?;
         Ok(vec![
             (
@@ -80,7 +118,10 @@ impl Set<'_> {
                 serde_json::to_vec(&described).expect("a sample is JSON"),
             ),
             ("npz", truth),
-            ("png", encode_counts(&image, scene.camera.sensor.max_count())),
+            (
+                "png",
+                encode_counts(&image, scene.camera.sensor.max_count()),
+            ),
             ("toml", text.into_bytes()),
         ])
     }
@@ -90,6 +131,7 @@ impl Set<'_> {
 fn truth(
     simulation: &Simulation,
     frame: u32,
+    light: &Irradiance,
     points: impl FnOnce(&mut Vec<u8>) -> io::Result<()>,
 ) -> io::Result<Vec<u8>> {
     let scene = &simulation.scene;
@@ -117,18 +159,28 @@ fn truth(
         line.extend(point.column.to_le_bytes());
         line.extend(point.row.to_le_bytes());
     }
+    let shares = simulation.shares(frame);
+    let mut mask = Vec::new();
+    npy_header(&mut mask, "'|u1'", &[rows, columns])?;
+    mask.extend(line_mask(scene, &shares[0]));
+    let mut noise_free = Vec::new();
+    npy_header(&mut noise_free, "'<u2'", &[rows, columns])?;
+    let counts = simulation.counts_without_noise(light).to_rows();
+    noise_free.extend(counts.into_iter().flat_map(u16::to_le_bytes));
     let mut measured = Vec::new();
     points(&mut measured)?;
     let mut files = vec![
         ("depth.npy", depth),
         ("line.npy", line),
+        ("mask.npy", mask),
+        ("noise_free.npy", noise_free),
         ("normal.npy", normal),
         ("points.npy", measured),
     ];
     if simulation.plan.reflections.is_some() {
         let mut direct = Vec::new();
         npy_header(&mut direct, "'<f4'", &[rows, columns])?;
-        let share = direct_share(&simulation.shares(frame));
+        let share = direct_share(&shares);
         direct.extend(share.flat_map(f32::to_le_bytes));
         files.push(("direct.npy", direct));
     }
@@ -143,6 +195,32 @@ fn truth(
         archive.write_all(&content)?;
     }
     Ok(archive.finish()?.into_inner())
+}
+
+/// Returns 1 for the pixels of the line and 0 for all others, row by row. On the line the direct light
+/// without speckle is at least one count, and at least 1/e² of the maximum of the column, which is the
+/// edge of a laser beam.
+fn line_mask(scene: &Scene, direct: &Irradiance) -> Vec<u8> {
+    let sensor = &scene.camera.sensor;
+    let electrons = sensor.electrons_per_irradiance(scene.laser.beam.wavelength);
+    let count = (1.0 / (electrons * sensor.gain_dn_per_e)) as f32;
+    let columns = direct.columns();
+    let light = direct.dense();
+    let mut least = vec![0.0f32; columns];
+    for row in light.chunks_exact(columns) {
+        for (least, &light) in least.iter_mut().zip(row) {
+            *least = least.max(light);
+        }
+    }
+    let edge = (-2.0f32).exp();
+    for least in &mut least {
+        *least = (*least * edge).max(count);
+    }
+    let row = |row: &[f32]| -> Vec<u8> {
+        let lit = row.iter().zip(&least).map(|(light, least)| light >= least);
+        lit.map(u8::from).collect()
+    };
+    light.chunks_exact(columns).flat_map(row).collect()
 }
 
 /// Of each pixel's light, the share of what is reflected once, given what is [reflected once, and more than once]; 1 in the dark.

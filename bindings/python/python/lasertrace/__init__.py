@@ -68,6 +68,16 @@ class Flag(_enum.IntFlag):
     """Put into a gap between measured points; in the files of a scan only."""
 
 
+def _unpickled_scene(text, folder):
+    """The scene of a pickle, which names this function."""
+    return Scene.parse(text, folder)
+
+
+def _unpickled_simulation(scene, threads):
+    """The simulation of a pickle, which names this function."""
+    return Simulation(scene, threads=threads)
+
+
 __all__ = [
     "Error", "Flag", "Frame", "Frames", "NOTHING", "RayCaster", "Scene", "Simulation", "engine",
 ]
