@@ -47,6 +47,11 @@ pub(super) struct ImageChannel {
 /// Most memory that the decoder may allocate, bytes.
 const MOST_BYTES: u64 = 1 << 29;
 
+/// Counts by which JPEG darkens some clipped pixels. For lines of σ = 1.2 to 2.7 px, 1.1 to 1.7 times as high
+/// as the scale, and qualities from 75 to 95, up to a third of the columns have no pixel of 255, but almost all
+/// have one of 252.
+const JPEG_ERROR: u16 = 3;
+
 /// Reads `channel` of an image, transposed if `turned`. The error describes the bytes that are no image.
 pub(super) fn read_channel(
     bytes: &[u8],
@@ -94,8 +99,12 @@ pub(super) fn read_channel(
             (counts, Some(name))
         }
     };
+    let lost = match format {
+        Some(ImageFormat::Jpeg) => JPEG_ERROR,
+        _ => 0,
+    };
     Ok(ImageChannel {
-        saturation: saturation(&counts, planes.full, declared),
+        saturation: saturation(&counts, planes.full, declared).saturating_sub(lost),
         counts,
         channel,
     })
