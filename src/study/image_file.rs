@@ -47,9 +47,9 @@ pub(super) struct ImageChannel {
 /// Most memory that the decoder may allocate, bytes.
 const MOST_BYTES: u64 = 1 << 29;
 
-/// Counts by which JPEG darkens some clipped pixels. For lines of σ = 1.2 to 2.7 px, 1.1 to 1.7 times as high
-/// as the scale, and qualities from 75 to 95, up to a third of the columns have no pixel of 255, but almost all
-/// have one of 252.
+/// Counts by which JPEG darkens some clipped pixels. Lines of σ = 1.2 to 2.7 px whose height is 1.1 to 1.7 of
+/// the scale were compressed with qualities from 75 to 95. Up to a third of the columns had no pixel of
+/// 255, and almost all had a pixel of 252 or more.
 const JPEG_ERROR: u16 = 3;
 
 /// Reads `channel` of an image, transposed if `turned`. The error describes the bytes that are no image.
@@ -267,8 +267,8 @@ fn is_plateau(counts: &Counts, top: u16) -> bool {
         return true;
     }
     // The pixels of a smooth top within k counts of its height are within a distance that grows with √k.
-    // At most 1/(√4 − 1) times as many pixels have the highest count as have the three counts next below.
-    // Noise only spreads them. Twice as many, and ten more, are beyond chance.
+    // The highest count then has at most 1/(√4 − 1) of the pixels of the three counts next below. Noise
+    // only spreads them. A factor of two, and ten more pixels, are beyond chance.
     let at_top = occurring.next().map_or(0, |c| times[usize::from(c)]);
     let next: u64 = occurring.take(3).map(|c| times[usize::from(c)]).sum();
     next > 0 && at_top > 2 * next + 10
