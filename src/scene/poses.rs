@@ -161,51 +161,24 @@ pub(super) fn read(file: &Path, bytes: &[u8], layout: Option<Layout>) -> Result<
         .comment(Some(b'#'))
         .delimiter(separator)
         .from_reader(bytes);
-    let mut records = reader.records().peekable();
-    let first: Vec<String> = match records.peek() {
-        Some(Ok(first)) => values(separator, first)
-            .into_iter()
-            .map(str::to_owned)
-            .collect(),
-        _ => Vec::new(),
-    };
-    let is_text = |text: &String| number(separator, text).is_none();
-    let is_header = !first.is_empty() && first.iter().all(is_text);
-    let layout = match (layout, Layout::of(first.iter().map(String::as_str))) {
-        (None, Ok(layout)) => layout,
-        (Some(layout), Ok(header)) if layout.0 != header.0 => {
-            let place = records.peek().map(|first| place_of(bytes, first));
-            let found = format!("the header \"{header}\"");
-            let expected =
-                format!("{layout}, as scan.poses_columns states, or a scene without this key");
-            return Err(
-                InputError::new(file, place.unwrap_or(Place::File), found, expected).into(),
-            );
-        }
-        (Some(layout), _) => layout,
-        (None, Err(reason)) => {
-            let place = match records.next() {
-                Some(Err(error)) => return Err(unreadable(file, &error)),
-                Some(Ok(first)) => place(bytes, &first),
-                None => Place::Line(1),
-            };
-            let found = match is_header {
-                true => format!("{:?} ({reason})", first.join(",")),
-                false => format!("{:?}", first.join(",")),
-            };
-            let expected =
-                format!("the header {EXPECTED_COLUMNS}; or scan.poses_columns to name them");
-            return Err(InputError::new(file, place, found, expected).into());
-        }
-    };
-    if is_header {
-        records.next();
-    }
+    let mut records = reader.records();
+    let first = records.next().transpose();
+    let first = first.map_err(|error| unreadable(file, &error))?;
+    let texts = first
+        .as_ref()
+        .map_or(Vec::new(), |first| values(separator, first));
+    let is_text = |text: &&str| number(separator, text).is_none();
+    let is_header = !texts.is_empty() && texts.iter().all(is_text);
+    let at = first
+        .as_ref()
+        .map_or(Place::Line(1), |first| place(bytes, first));
+    let layout = layout_of_file(file, at, &texts, is_header, layout)?;
+    let first = first.filter(|_| !is_header);
     let mut list = PoseList {
         poses: Vec::new(),
         times: layout.has_times().then(Vec::new),
     };
-    for record in records {
+    for record in first.map(Ok).into_iter().chain(records) {
         let record = record.map_err(|error| unreadable(file, &error))?;
         let wrong = |(column, found, expected): Mistake| {
             let mut error = InputError::new(file, place(bytes, &record), found, expected);
@@ -230,6 +203,36 @@ pub(super) fn read(file: &Path, bytes: &[u8], layout: Option<Layout>) -> Result<
         return Err(error.into());
     }
     Ok(list)
+}
+
+/// The layout of a file whose first line has these texts. Errors: it has none, or contradicts
+/// `stated`.
+fn layout_of_file(
+    file: &Path,
+    at: Place,
+    texts: &[&str],
+    is_header: bool,
+    stated: Option<Layout>,
+) -> Result<Layout> {
+    let (found, expected) = match (stated, Layout::of(texts.iter().copied())) {
+        (None, Ok(layout)) => return Ok(layout),
+        (Some(stated), Ok(header)) if stated.0 != header.0 => (
+            format!("the header \"{header}\""),
+            format!("{stated}, as scan.poses_columns states, or a scene without this key"),
+        ),
+        (Some(stated), _) => return Ok(stated),
+        (None, Err(reason)) => {
+            let reason = match is_header {
+                true => format!(" ({reason})"),
+                false => String::new(),
+            };
+            (
+                format!("{:?}{reason}", texts.join(",")),
+                format!("the header {EXPECTED_COLUMNS}; or scan.poses_columns to name them"),
+            )
+        }
+    };
+    Err(InputError::new(file, at, found, expected).into())
 }
 
 /// The times of a file, s: one a line under the header `time_s` or `time_ms`, rising. Errors name file
@@ -302,12 +305,6 @@ fn number(separator: u8, text: &str) -> Option<f64> {
         }
         _ => text.parse().ok(),
     }
-}
-
-fn place_of(bytes: &[u8], record: &csv::Result<StringRecord>) -> Place {
-    record
-        .as_ref()
-        .map_or(Place::File, |record| place(bytes, record))
 }
 
 /// The line of a record. The position that the reader states is before the blank lines and comments that it

@@ -131,7 +131,6 @@ pub fn emva(
             false => writeln!(text, "d {nanoseconds}"),
         };
         let image = Irradiance::even(sensor.resolution, light as f32);
-        let max_count = sensor.max_count();
         let readout = Readout::new(sensor, wavelength, scene.seed);
         let name = |i: u64| format!("{number:03}-{i:02}.png");
         (0..series.images).into_par_iter().try_for_each(|i| {
@@ -139,7 +138,7 @@ pub fn emva(
             let key = Key::new(scene.seed, Purpose::SensorNoise)
                 .with(number as u64)
                 .with(i);
-            let png = encode_counts(&readout.counts(&image, key), max_count);
+            let png = encode_counts(&readout.counts(&image, key), camera.max_count());
             files::write_checked_later(&folder.join(name(i)), &png, files::PART)?;
             (control.progress)(done.fetch_add(1, Ordering::Relaxed) + 1);
             Ok::<(), Error>(())
