@@ -21,11 +21,11 @@ struct InFile<'a> {
     line: Option<usize>,
     /// From 0.
     byte: Option<u64>,
-    key: Option<&'a str>,
+    key: Option<String>,
     /// `null`: the key is missing.
-    found: Option<&'a str>,
-    expected: &'a str,
-    hint: Option<&'a str>,
+    found: Option<String>,
+    expected: String,
+    hint: Option<String>,
 }
 
 /// How a command's errors are said.
@@ -85,10 +85,10 @@ impl Complaints {
                         Place::Byte(byte) => Some(byte),
                         _ => None,
                     },
-                    key: wrong.key.as_deref(),
-                    found: Some(wrong.found.as_str()).filter(|found| !found.is_empty()),
-                    expected: &wrong.expected,
-                    hint: wrong.hint.as_deref(),
+                    key: wrong.key.as_deref().map(printable::short),
+                    found: Some(printable::short(&wrong.found)).filter(|found| !found.is_empty()),
+                    expected: printable::short(&wrong.expected),
+                    hint: wrong.hint.as_deref().map(printable::short),
                 }),
                 _ => None,
             };

@@ -2,6 +2,7 @@ use super::{Output, STOP};
 use crate::error::{Error, Result};
 use crate::mesh::memory;
 use crate::service::{self, Limits, Service, Settings};
+use rustix::fs::Mode;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use tracing::Level;
@@ -79,6 +80,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             threads: rayon::current_num_threads() as u16,
         },
     };
+    // Files of the store and of its jobs are for this user only.
+    rustix::process::umask(Mode::RWXG | Mode::RWXO);
     let service = Service::open(settings)?;
     let pages = service::router(service.clone());
     let listening = |address: SocketAddr| {

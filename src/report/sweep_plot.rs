@@ -104,7 +104,7 @@ fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
     let axes = Axes {
         frame: [80.0, top, WIDTH, HEIGHT],
         beyond: [0.0; 2],
-        title: panel.y,
+        title: "",
         x: match panel.words.is_empty() {
             false => Axis::named(panel.x, &panel.words),
             true if geometric(&xs) => {
@@ -113,7 +113,7 @@ fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
             }
             true => Axis::linear(panel.x, ends(&xs, false)),
         },
-        y: Axis::linear("", ends(&ys, true)),
+        y: Axis::linear(panel.y, ends(&ys, true)),
     };
     axes.draw(svg);
     for (i, curve) in panel.curves.iter().enumerate() {

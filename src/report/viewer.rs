@@ -3,7 +3,9 @@
 
 use super::color::Rgb;
 use super::picture::base64;
-use crate::math::{Aabb, DVec3};
+use crate::accel::Accel;
+use crate::inspect::coverage::spread;
+use crate::math::{Aabb, DVec3, Rigid};
 use serde_json::{Value, json};
 
 /// Points of one kind, each drawn in the colours of several modes.
@@ -12,6 +14,44 @@ pub struct Layer {
     pub positions: Vec<DVec3>,
     /// What a reader can switch between.
     pub modes: Vec<Mode>,
+    /// Values that a reader gets who picks a point.
+    pub values: Vec<Quantity>,
+}
+
+/// A quantity of each point of a layer.
+pub struct Quantity {
+    /// Shown before the value.
+    pub name: &'static str,
+    /// Shown after the value; empty for a number without unit.
+    pub unit: &'static str,
+    /// One value for each position.
+    pub values: Vec<f32>,
+}
+
+/// The colour scale of a mode.
+pub struct Bar {
+    /// Value of the first colour.
+    pub low: f64,
+    /// Value of the last colour.
+    pub high: f64,
+    /// Unit of both.
+    pub unit: &'static str,
+    /// Colours at equal steps from `low` to `high`.
+    pub colors: Vec<Rgb>,
+}
+
+impl Bar {
+    /// Samples `color` between `low` and `high`.
+    pub fn new(low: f64, high: f64, unit: &'static str, color: impl Fn(f64) -> Rgb) -> Bar {
+        const STEPS: u8 = 16;
+        let at = |i: u8| low + (high - low) * f64::from(i) / f64::from(STEPS);
+        Bar {
+            low,
+            high,
+            unit,
+            colors: (0..=STEPS).map(|i| color(at(i))).collect(),
+        }
+    }
 }
 
 /// A way to colour the points of a layer.
@@ -20,6 +60,8 @@ pub struct Mode {
     pub name: &'static str,
     /// What the colours mean.
     pub caption: String,
+    /// `None` if the colours stand for no numbers.
+    pub bar: Option<Bar>,
     /// One for each position.
     pub colors: Vec<Rgb>,
 }
@@ -69,6 +111,9 @@ pub(crate) fn layers(layers: &[Layer], bounds: Option<Aabb>) -> Value {
             json!({
                 "name": mode.name,
                 "caption": mode.caption,
+                "bar": mode.bar.as_ref().map(|bar| {
+                    json!({ "low": bar.low, "high": bar.high, "unit": bar.unit, "colors": bar.colors })
+                }),
                 "colors": base64(mode.colors.as_flattened()),
                 "places": i,
             })
@@ -78,6 +123,41 @@ pub(crate) fn layers(layers: &[Layer], bounds: Option<Aabb>) -> Value {
 }
 
 impl Under {
+    /// The part's triangles, shaded; or, of a part with more than `most` of them, as many points of its surface.
+    pub fn part(accel: &Accel, most: usize, bounds: Aabb) -> Under {
+        let shade = |normal: DVec3| -> Rgb {
+            // As a lamp above the viewer's left shoulder would, from both sides.
+            let light = DVec3::new(-0.4, -0.5, 0.75).normalize();
+            [(110.0 + 110.0 * normal.dot(light).abs()) as u8; 3]
+        };
+        let mesh = accel.mesh();
+        let triangles = mesh.triangles.len() * accel.poses().len() <= most;
+        let corners = match triangles {
+            true => {
+                let of_copy = |pose: &Rigid| {
+                    let pose = *pose;
+                    (0..mesh.triangles.len()).flat_map(move |i| {
+                        let corners = mesh.triangle(i).map(|p| pose.point(p));
+                        let [a, b, c] = corners;
+                        let color = shade((b - a).cross(c - a).normalize_or_zero());
+                        corners.map(|p| (p, color))
+                    })
+                };
+                accel.poses().iter().flat_map(of_copy).collect()
+            }
+            false => {
+                let places = spread(accel, most).map_or(Vec::new(), |places| places.points);
+                let shaded = places.into_iter().map(|(p, normal)| (p, shade(normal)));
+                shaded.collect()
+            }
+        };
+        Under {
+            corners,
+            triangles,
+            bounds,
+        }
+    }
+
     fn packed(&self) -> Value {
         let positions: Vec<DVec3> = self.corners.iter().map(|(p, _)| *p).collect();
         let mut packed = packed(&positions, self.bounds);
@@ -92,7 +172,15 @@ impl Layer {
     /// What is looked at fills the view, however small a piece of the part it is, if nobody says otherwise.
     fn packed(&self, bounds: Option<Aabb>) -> Value {
         let own = || Aabb::of(self.positions.iter().copied());
-        packed(&self.positions, bounds.unwrap_or_else(own))
+        let mut packed = packed(&self.positions, bounds.unwrap_or_else(own));
+        let values = self.values.iter().map(|quantity| {
+            let numbers: Vec<u8> = (quantity.values.iter())
+                .flat_map(|x| x.to_le_bytes())
+                .collect();
+            json!({ "name": quantity.name, "unit": quantity.unit, "numbers": base64(&numbers) })
+        });
+        packed["values"] = values.collect();
+        packed
     }
 }
 
@@ -107,6 +195,8 @@ fn packed(positions: &[DVec3], bounds: Aabb) -> Value {
     json!({
         "at": base64(&bytes),
         "size": (size / size.max_element()).to_array(),
+        "from": bounds.min.to_array(),
+        "to": bounds.max.to_array(),
     })
 }
 
@@ -121,9 +211,11 @@ mod tests {
             under: None,
             layers: vec![Layer {
                 positions: vec![DVec3::ZERO, DVec3::new(2.0, 1.0, 0.0), DVec3::Y * 0.5],
+                values: Vec::new(),
                 modes: vec![Mode {
                     name: "m",
                     caption: "</script>".into(),
+                    bar: None,
                     colors: vec![[1, 2, 3]; 3],
                 }],
             }],

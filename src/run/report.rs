@@ -6,6 +6,7 @@ mod histograms;
 use super::Control;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
+use super::surface_view::surface_view;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
@@ -15,7 +16,7 @@ use crate::inspect::coverage::HeadPose;
 use crate::inspect::flags::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::laser::Laser;
-use crate::math::DVec3;
+use crate::math::{Aabb, DVec3};
 use crate::plan::rules::Effect;
 use crate::profile::{Filters, Smooth};
 use crate::report::chart::{color_bar, short};
@@ -24,10 +25,15 @@ use crate::report::page::{ColorMap, Report, of_fate, of_verdict};
 use crate::report::picture::{ParallelView, part_picture};
 use crate::report::ply::color_limit_um;
 use crate::report::setup::Setup;
-use crate::report::viewer::{Layer, Mode, Viewer};
+use crate::report::viewer::{Bar, Layer, Mode, Quantity, Under, Viewer};
+use crate::scene::Scene;
+use crate::surface::{Lobe, Surface};
 
 /// Points and places in the viewer: what half a megabyte holds.
 const MOST_IN_VIEWER: usize = 60_000;
+
+/// Triangles of the part in the viewer: what a megabyte holds.
+const MOST_TRIANGLES: usize = 40_000;
 
 /// Longer side of the pictures of the part, px.
 const PICTURE_SIZE: usize = 900;
@@ -116,6 +122,9 @@ impl Shown<'_> {
             ("part", format!("{part}; {x} × {y} × {z} mm")),
             ("laser", laser(&scene.laser)),
             ("camera", camera(&scene.camera)),
+            ("exposure", exposure(&scene.camera)),
+            ("material", material(scene)),
+            ("stand-off and angle", self.stand_off()),
             (
                 "frames",
                 format!("{}, the laser moves {} mm", self.frames.len(), short(way)),
@@ -160,6 +169,19 @@ impl Shown<'_> {
         ]
     }
 
+    /// Distance from the laser to the point of the laser's axis that the camera sees, and the angle between both there.
+    fn stand_off(&self) -> String {
+        let scene = &self.simulation.scene;
+        let point = surface_view(scene, None).point;
+        let [laser, camera] =
+            [&scene.head_from_laser, &scene.head_from_camera].map(|pose| pose.translation - point);
+        format!(
+            "{} mm from laser to measured surface, {}° between laser and camera",
+            short(laser.length()),
+            short(laser.angle_between(camera).to_degrees())
+        )
+    }
+
     /// A median of points without a flag.
     fn uncertainty(&self, of: impl Fn(&UncertaintyStatistics) -> f64) -> String {
         let found = self.summary.uncertainty.as_ref();
@@ -194,6 +216,21 @@ impl Shown<'_> {
             &|p| p.is_valid(),
         ));
         control.check()?;
+        if let Some(coverage) = &self.summary.coverage {
+            let places = || coverage.places.iter().map(|(p, fate)| (*p, of_fate(*fate)));
+            maps.push(ColorMap {
+                title: "Coverage of the CAD surface",
+                bar: String::new(),
+                legend: "Green: measured. Other colours: why it is not, as in the table of coverage below.",
+                views: (views.iter())
+                    .map(|&(caption, view)| {
+                        let picture = part_picture(&self.simulation.accel, places(), view, PICTURE_SIZE);
+                        (caption, picture.png)
+                    })
+                    .collect(),
+            });
+            control.check()?;
+        }
         let bands = &self.simulation.scene.bands;
         if !bands.is_empty() {
             maps.push(self.map(
@@ -312,16 +349,26 @@ impl Shown<'_> {
     }
 
     fn viewer(&self, limits: &Limits) -> Viewer {
+        // The box of the part and of all valid points; flagged points may be far off.
+        let part = self.simulation.accel.bounds();
+        let of_points = self.valid().map(|p| p.position);
+        let bounds = Aabb::of(of_points.chain([part.min, part.max]));
+        let inside = |p: &&CloudPoint| {
+            let [low, high] = [bounds.min, bounds.max];
+            p.position.cmpge(low).all() && p.position.cmple(high).all()
+        };
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
-        let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).collect();
+        let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).filter(inside).collect();
         let mut cloud = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
+            values: point_values(&shown),
             modes: point_modes(&shown, limits),
         };
         if !self.simulation.scene.bands.is_empty() {
             cloud.modes.push(Mode {
                 name: "tolerance",
                 caption: TOLERANCE.into(),
+                bar: None,
                 colors: shown.iter().map(|p| of_verdict(self.verdict(p))).collect(),
             });
         }
@@ -329,17 +376,19 @@ impl Shown<'_> {
         let mut layers: Vec<Layer> = any.then_some(cloud).into_iter().collect();
         layers.extend(self.summary.coverage.as_ref().map(|coverage| Layer {
             positions: coverage.places.iter().map(|(p, _)| *p).collect(),
+            values: Vec::new(),
             modes: vec![Mode {
                     name: "coverage of the CAD",
                     caption: "Places on the CAD: green measured, yellow weak signal, violet hidden \
                               from the camera, grey hidden from the laser, light grey outside."
                         .into(),
+                    bar: None,
                     colors: coverage.places.iter().map(|(_, f)| of_fate(*f)).collect(),
                 }],
         }));
         Viewer {
             look: [0.6, 0.6],
-            under: None,
+            under: Some(Under::part(&self.simulation.accel, MOST_TRIANGLES, bounds)),
             layers,
         }
     }
@@ -361,6 +410,44 @@ impl Shown<'_> {
         };
         setup.drawings().into()
     }
+}
+
+/// The surfaces of the part, each with its name if it has one.
+fn material(scene: &Scene) -> String {
+    let lobe = |lobe: &Lobe| match lobe {
+        Lobe::Matt(diffuse) => {
+            format!("diffuse, reflectance {}", short(given(diffuse.reflectance)))
+        }
+        Lobe::Metal(metal) => format!("metal, roughness {}", short(given(metal.facets.least()))),
+        Lobe::Coat(coat) => format!(
+            "coated, roughness {}, reflectance below {}",
+            short(given(coat.facets.least())),
+            short(given(coat.reflectance))
+        ),
+        Lobe::Mirror(mirror) => format!("mirror, reflectance {}", short(given(mirror.reflectance))),
+    };
+    let surface = |surface: &Surface| match surface {
+        Surface::Lambert(diffuse) => lobe(&Lobe::Matt(*diffuse)),
+        Surface::Glossy(glossy) => match &glossy.lobes[..] {
+            [(_, only)] => lobe(only),
+            lobes => {
+                let parts = lobes
+                    .iter()
+                    .map(|(weight, one)| format!("{} of {}", short(*weight), lobe(one)));
+                parts.collect::<Vec<_>>().join(" + ")
+            }
+        },
+    };
+    let kinds = scene.surface.kinds().iter().map(|kind| match &kind.name {
+        Some(name) => format!("{name}: {}", surface(&kind.surface)),
+        None => surface(&kind.surface),
+    });
+    kinds.collect::<Vec<_>>().join("; ")
+}
+
+/// The exposure time.
+fn exposure(camera: &Camera) -> String {
+    format!("{} ms", short(given(camera.sensor.exposure_ms)))
 }
 
 /// A number of the scene, without the digits that conversion of its unit adds.
@@ -416,30 +503,49 @@ fn camera(camera: &Camera) -> String {
 
 /// The ways to colour points: deviation, uncertainty, flags.
 pub(crate) fn point_modes(points: &[&CloudPoint], limits: &Limits) -> Vec<Mode> {
-    let mode = |name, caption: String, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
+    let mode = |name, caption: String, bar, color: &dyn Fn(&CloudPoint) -> Rgb| Mode {
         name,
         caption,
+        bar,
         colors: points.iter().map(|p| color(p)).collect(),
     };
     let (d, s) = (limits.deviation_um, limits.sigma_um);
     vec![
         mode(
             "deviation",
-            format!("Deviation: blue {} µm, red {} µm.", short(-d), short(d)),
+            "Deviation from the CAD surface: red outside the material, blue inside.".into(),
+            Some(Bar::new(-d, d, "µm", |x| diverging(x, d))),
             &|p| diverging(p.deviation * 1e3, d),
         ),
         mode(
             "standard uncertainty",
-            format!("Standard uncertainty: yellow 0, dark blue {} µm.", short(s)),
+            "Standard uncertainty of the deviation.".into(),
+            Some(Bar::new(0.0, s, "µm", |x| sequential(x, s))),
             &|p| sequential(p.deviation_sigma * 1e3, s),
         ),
         mode(
             "flags",
             "Valid points grey-blue; points with a flag other than \"outside\" magenta.".into(),
+            None,
             &|p| {
                 if p.is_valid() { UNFLAGGED } else { FLAGGED }
             },
         ),
+    ]
+}
+
+/// The values that a picked point shows.
+pub(crate) fn point_values(points: &[&CloudPoint]) -> Vec<Quantity> {
+    let quantity = |name, unit, of: &dyn Fn(&CloudPoint) -> f64| Quantity {
+        name,
+        unit,
+        values: points.iter().map(|p| of(p) as f32).collect(),
+    };
+    vec![
+        quantity("deviation", "µm", &|p| 1e3 * p.deviation),
+        quantity("standard uncertainty", "µm", &|p| 1e3 * p.deviation_sigma),
+        quantity("frame", "", &|p| p.frame.into()),
+        quantity("column", "", &|p| p.column.into()),
     ]
 }
 

@@ -9,8 +9,8 @@ const SIGHT: &str = "stroke='#2471a3' stroke-width='1.2'";
 const FIELD: &str = "fill='#1e8449' fill-opacity='0.15' stroke='#1e8449'";
 const HOUSING: &str = "stroke='#7d3c98' stroke-width='1.5'";
 const PART: &str = "stroke='#222' stroke-width='2'";
-/// Greatest width and height of what is drawn, px.
-const ROOM: [f64; 2] = [1000.0, 620.0];
+/// Greatest width and height of the drawing, px: text of 12 px stays readable on a page of this width.
+const ROOM: [f64; 2] = [640.0, 460.0];
 const DISTANCE: &str = "from the laser along the beam, mm";
 
 /// Seen along the line and across it, both to one scale, as an SVG file.

@@ -1,15 +1,18 @@
 //! The pages of the service: one function a page, each with its lines for OpenAPI.
 
+use super::connections::Peer;
 use super::job_folder::Progress;
-use super::jobs::{Accepted, Job, Kind, Request, State};
+use super::jobs::{self, Accepted, Job, Kind, Request, State};
+use super::quota::Permit;
 use super::refusal::{Refusal, RefusalBody};
 use super::scene_files;
 use super::shared::Service;
 use super::store::{Hash, PREFIX, ResultFile};
 use super::{metrics, upload, views, workers};
-use crate::error::Error;
+use crate::error::{Error, printable};
 use crate::report::formats::Format;
 use crate::scene::Unit;
+use askama::Template;
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{self, Path, Query};
@@ -22,8 +25,9 @@ use futures_util::stream::{Stream, unfold};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::convert::Infallible;
-use std::fs::File;
-use std::os::unix::fs::FileExt;
+use std::fs::{File, Metadata};
+use std::net::Ipv4Addr;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use utoipa::{IntoParams, OpenApi, ToSchema};
@@ -37,6 +41,10 @@ const LARGEST_RAYS: u64 = 4 << 20;
 const LISTED: u32 = 100;
 /// Time between two looks at a job that is watched.
 const LOOK: Duration = Duration::from_millis(200);
+/// Time after which an event stream ends: a client that does not read would hold it for ever.
+const LONGEST_STREAM: Duration = Duration::from_secs(600);
+/// Bytes at the end of a job's log that are shown.
+const SHOWN_LOG: u64 = 1 << 16;
 /// Bytes of a file that are read at once.
 const PIECE: u64 = 1 << 18;
 /// Bytes below which the store is not ready.
@@ -56,6 +64,7 @@ pub fn router(service: Arc<Service>) -> Router {
         .routes(routes!(post_job, list_jobs))
         .routes(routes!(get_job, delete_job))
         .routes(routes!(events))
+        .routes(routes!(log))
         .routes(routes!(list_results))
         .routes(routes!(get_result))
         .routes(routes!(view))
@@ -72,6 +81,7 @@ pub fn router(service: Arc<Service>) -> Router {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let slash = async |Path(id): Path<String>| Redirect::permanent(&format!("/v1/jobs/{id}/view/"));
     pages
+        .route("/", axum::routing::get(index))
         .route("/v1/jobs/{id}/view", axum::routing::get(slash))
         .route("/v1/jobs/{id}/view/{*page}", axum::routing::get(view_page))
         .route(
@@ -172,15 +182,6 @@ fn hash(digits: &str) -> Answer<Hash> {
     })
 }
 
-fn length(headers: &HeaderMap) -> Option<u64> {
-    headers
-        .get(header::CONTENT_LENGTH)?
-        .to_str()
-        .ok()?
-        .parse()
-        .ok()
-}
-
 /// Sends a file that scenes name: a mesh, a sensor, poses, a calibration.
 ///
 /// It is kept under its SHA-256, and a scene names it `sha256:…`. A file that is there is not sent again.
@@ -201,7 +202,14 @@ async fn put_file(
         return Ok(StatusCode::OK);
     }
     let largest = service.settings.largest_file;
-    upload::file(body, length(&headers), largest, hash, &service.store).await?;
+    upload::file(
+        body,
+        upload::length(&headers),
+        largest,
+        hash,
+        &service.store,
+    )
+    .await?;
     Ok(StatusCode::CREATED)
 }
 
@@ -227,6 +235,8 @@ async fn delete_file(
     Path(digits): Path<String>,
 ) -> Answer<StatusCode> {
     let hash = hash(&digits)?;
+    // No job is accepted between the check and the removal.
+    let _files = service.files.write().await;
     if service.jobs.reads(&hash).await? {
         let message = "a job that is not done reads this file";
         return Err(Refusal::new(StatusCode::CONFLICT, message));
@@ -254,6 +264,9 @@ struct Asked {
     frames: Option<String>,
     /// Other formats of the cloud of a scan or of profiles, as `csv,e57,pcd`.
     also: Option<String>,
+    /// Files that a file of the scene names, as a glTF file its buffers: `NAME=SHA256`, separated by commas.
+    #[param(example = "part.bin=0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef")]
+    files: Option<String>,
     /// Of rays: the mesh, `sha256:…`.
     mesh: Option<String>,
     /// Of rays: the mesh file's unit, where the file does not say it: um, mm, cm, m or inch.
@@ -277,6 +290,42 @@ impl Asked {
                 range.ok_or_else(expected).map(Some)
             }
         }
+    }
+
+    /// The files of the parameter `files`, each of which is in the store.
+    fn named(&self, service: &Service) -> Answer<Vec<(String, Hash)>> {
+        let wrong = |message: String| Refusal::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+        // A name without folders; the scene's name is taken.
+        let plain = |name: &str| {
+            let known = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | ' ');
+            (1..=200).contains(&name.len())
+                && !name.starts_with('.')
+                && name != "scene.toml"
+                && name.chars().all(known)
+        };
+        let pairs = self.files.iter().flat_map(|text| text.split(','));
+        pairs
+            .map(|pair| {
+                let named = pair.rsplit_once('=').filter(|(name, _)| plain(name));
+                let named = named.and_then(|(name, digits)| {
+                    let digits = digits.strip_prefix(PREFIX).unwrap_or(digits);
+                    Some((name.to_owned(), Hash::parse(digits)?))
+                });
+                let (name, hash) = named.ok_or_else(|| {
+                    let expected = "NAME=SHA256: a file name without folders, and 64 digits 0 to 9 and a to f";
+                    wrong(format!("files: found {pair:?}, expected {expected}"))
+                })?;
+                match service.store.file(&hash).exists() {
+                    true => Ok((name, hash)),
+                    false => {
+                        let digits = hash.digits();
+                        Err(wrong(format!(
+                            "files: {name}: there is no such file; send it first: PUT /v1/files/{digits}"
+                        )))
+                    }
+                }
+            })
+            .collect()
     }
 
     fn request(&self, service: &Service, body: &[u8]) -> Answer<Request> {
@@ -320,6 +369,7 @@ impl Asked {
             also,
             mesh: None,
             files: Vec::new(),
+            named: self.named(service)?,
         };
         match self.kind {
             Kind::Rays => {
@@ -343,6 +393,8 @@ impl Asked {
             }
             _ => request.files = scene_files::files_of(body, &service.store)?,
         }
+        let named = request.named.iter().map(|(_, hash)| hash.clone());
+        request.files.extend(named);
         Ok(request)
     }
 }
@@ -391,7 +443,9 @@ async fn post_job(
             return Err(Refusal::new(StatusCode::BAD_REQUEST, message));
         }
     };
-    let body = upload::whole(body, length(&headers), largest).await?;
+    let body = upload::whole(body, upload::length(&headers), largest).await?;
+    // Until the job is in the table, none of its files is removed.
+    let _files = service.files.read().await;
     let (request, body) = {
         let service = service.clone();
         upload::on_disk(move || {
@@ -446,7 +500,18 @@ async fn get_job(extract::State(service): Shared, Path(id): Path<String>) -> Ans
     responses((status = 204, description = "It is gone"), (status = 202, description = "It is being stopped"),
         (status = 404, body = RefusalBody)))]
 async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> Answer<StatusCode> {
-    match service.jobs.delete(&id).await? {
+    let deleted = match service.jobs.delete(&id).await {
+        // The table cannot record the deletion: removing the results makes room for it.
+        Err(refusal) if refusal.status == StatusCode::INSUFFICIENT_STORAGE => {
+            service.store.give_room();
+            if service.jobs.rests(&id).await? {
+                workers::remove(&service.store.job(&id)).await;
+            }
+            service.jobs.delete(&id).await?
+        }
+        other => other?,
+    };
+    match deleted {
         None => Err(Refusal::no_job(&id)),
         Some(State::Running | State::Cancelled) => {
             tokio::spawn(workers::cancel(service, id));
@@ -454,6 +519,10 @@ async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> 
         }
         Some(_) => {
             workers::remove(&service.store.job(&id)).await;
+            // The pages are free in any case; the next deletion returns them if this one cannot.
+            if let Err(refusal) = service.jobs.shrink().await {
+                tracing::warn!("the table of jobs: {}", refusal.message);
+            }
             service.slots.wake();
             Ok(StatusCode::NO_CONTENT)
         }
@@ -462,40 +531,73 @@ async fn delete_job(extract::State(service): Shared, Path(id): Path<String>) -> 
 
 /// A job whenever it changes, as server-sent events `job`; the last one is `end`, when it is done, has
 /// failed or was deleted.
+///
+/// A stream ends after ten minutes. Browsers open it again.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", params(("id" = String, Path)),
     responses((status = 200, description = "Events with a job each", content_type = "text/event-stream"),
-        (status = 404, body = RefusalBody)))]
+        (status = 404, body = RefusalBody),
+        (status = 429, description = "Too many streams are open", body = RefusalBody)))]
 async fn events(
     extract::State(service): Shared,
+    peer: Option<extract::Extension<Peer>>,
     Path(id): Path<String>,
 ) -> Answer<Sse<impl Stream<Item = Result<Event, Infallible>>>> {
     found(&service, &id).await?;
-    let start = Some(String::new());
-    let events = unfold((service, id, start), async move |(service, id, before)| {
-        // `None` is behind the last event.
-        let before = before?;
-        loop {
-            let job = service.jobs.get(&id).await.ok().flatten();
-            let Some(job) = job else {
-                let gone = Event::default().event("end").data("null");
-                return Some((Ok(gone), (service, id, None)));
-            };
-            let ended = matches!(job.state, State::Done | State::Failed);
-            let page = page(&service, job).await;
-            let text = serde_json::to_string(&page).expect("a job is JSON");
-            if ended {
-                let end = Event::default().event("end").data(text);
-                return Some((Ok(end), (service, id, None)));
-            }
-            if text != before {
-                let event = Event::default().event("job").data(&text);
-                return Some((Ok(event), (service, id, Some(text))));
-            }
-            tokio::time::sleep(LOOK).await;
-        }
+    let address = peer.map_or(Ipv4Addr::UNSPECIFIED.into(), |peer| peer.0.0.ip());
+    let permit = service.events.take(address).ok_or_else(|| {
+        let message =
+            "too many event streams are open; close some, or ask GET /v1/jobs/ID from time to time";
+        Refusal::new(StatusCode::TOO_MANY_REQUESTS, message)
+    })?;
+    let watched = Watched {
+        service,
+        id,
+        shown: String::new(),
+        end: Instant::now() + LONGEST_STREAM,
+        _permit: permit,
+    };
+    let events = unfold(Some(watched), async |watched| {
+        let mut watched = watched?;
+        let event = watched.next().await?;
+        Some((Ok(event.0), event.1.then_some(watched)))
     });
     // A client that has gone is noticed when it takes nothing.
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(10))))
+}
+
+/// A job that a client follows.
+struct Watched {
+    service: Arc<Service>,
+    id: String,
+    /// The page that the client got last.
+    shown: String,
+    end: Instant,
+    _permit: Permit,
+}
+
+impl Watched {
+    /// Waits for the next event, and returns with it whether more follow. `None` at the end of the time.
+    async fn next(&mut self) -> Option<(Event, bool)> {
+        while Instant::now() < self.end {
+            let job = self.service.jobs.get(&self.id).await.ok().flatten();
+            let Some(job) = job else {
+                return Some((Event::default().event("end").data("null"), false));
+            };
+            let ended = matches!(job.state, State::Done | State::Failed);
+            let page = page(&self.service, job).await;
+            let text = serde_json::to_string(&page).expect("a job is JSON");
+            if ended {
+                return Some((Event::default().event("end").data(text), false));
+            }
+            if text != self.shown {
+                let event = Event::default().event("job").data(&text);
+                self.shown = text;
+                return Some((event, true));
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+        None
+    }
 }
 
 /// The files of a job's results that are whole, also while it runs.
@@ -514,9 +616,11 @@ async fn list_results(
 /// A file of a job's results, or the part of it that the header Range names.
 #[utoipa::path(get, path = "/v1/jobs/{id}/files/{*path}",
     params(("id" = String, Path), ("path" = String, Path, description = "As the list of files has it"),
-        ("range" = Option<String>, Header)),
+        ("range" = Option<String>, Header), ("if-range" = Option<String>, Header),
+        ("if-none-match" = Option<String>, Header)),
     responses((status = 200, content_type = "application/octet-stream"),
         (status = 206, content_type = "application/octet-stream"),
+        (status = 304, description = "The client has this version, by its ETag"),
         (status = 404, body = RefusalBody), (status = 416)))]
 async fn get_result(
     extract::State(service): Shared,
@@ -528,21 +632,31 @@ async fn get_result(
     let kind = media_type(&path);
     let opened = upload::on_disk(move || {
         let file = service.store.open_result(&id, &path)?;
-        let length = file.metadata()?.len();
-        std::io::Result::Ok((file, length))
+        let data = file.metadata()?;
+        std::io::Result::Ok((file, data.len(), entity_tag(&data)))
     });
-    let (file, length) = opened.await.map_err(|_| {
+    let (file, length, tag) = opened.await.map_err(|_| {
         Refusal::new(
             StatusCode::NOT_FOUND,
             "there is no such file among the job's results",
         )
     })?;
-    let range = headers
-        .get(header::RANGE)
-        .and_then(|value| value.to_str().ok());
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    let names_tag = |list: &str| {
+        list.split(',')
+            .any(|one| one.trim().trim_start_matches("W/") == tag)
+    };
+    if text(header::IF_NONE_MATCH).is_some_and(|list| list.trim() == "*" || names_tag(list)) {
+        let known = [(header::ETAG, tag)];
+        return Ok((StatusCode::NOT_MODIFIED, known).into_response());
+    }
+    // A part of another version of the file would not fit what the client has (RFC 9110, 13.1.5).
+    let same = text(header::IF_RANGE).is_none_or(|known| known.trim() == tag);
+    let range = text(header::RANGE).filter(|_| same);
     let mut response = Response::builder()
         .header(header::CONTENT_TYPE, kind)
         .header(header::ACCEPT_RANGES, "bytes")
+        .header(header::ETAG, &tag)
         .header(header::X_CONTENT_TYPE_OPTIONS, "nosniff")
         // A report runs its own script, and cannot ask the service anything.
         .header(header::CONTENT_SECURITY_POLICY, "sandbox allow-scripts");
@@ -570,6 +684,98 @@ async fn get_result(
         _ => Body::from_stream(pieces(file, part)),
     };
     Ok(response.body(body).expect("headers are ASCII"))
+}
+
+/// Returns the ETag of a version of a file.
+///
+/// A new version replaces the file by a rename, so its inode differs.
+fn entity_tag(data: &Metadata) -> String {
+    let (seconds, nanoseconds) = (data.mtime(), data.mtime_nsec());
+    format!(
+        "\"{:x}-{seconds:x}-{nanoseconds:x}-{:x}\"",
+        data.ino(),
+        data.len()
+    )
+}
+
+/// The messages that a job's process wrote to stderr: the last 64 KiB.
+#[utoipa::path(get, path = "/v1/jobs/{id}/log", params(("id" = String, Path)),
+    responses((status = 200, content_type = "text/plain"), (status = 404, body = RefusalBody)))]
+async fn log(extract::State(service): Shared, Path(id): Path<String>) -> Answer<Response> {
+    found(&service, &id).await?;
+    let path = service.store.job(&id).log_file();
+    let text = upload::on_disk(move || {
+        let file = File::open(&path)?;
+        let length = file.metadata()?.len();
+        let first = length.saturating_sub(SHOWN_LOG);
+        let mut bytes = vec![0; (length - first) as usize];
+        file.read_exact_at(&mut bytes, first)?;
+        std::io::Result::Ok(String::from_utf8_lossy(&bytes).into_owned())
+    });
+    // A job that has not started has no log.
+    let text = text.await.unwrap_or_default();
+    let kind = [(header::CONTENT_TYPE, "text/plain; charset=utf-8")];
+    Ok((kind, printable::lines(&text)).into_response())
+}
+
+/// A page for browsers: the last jobs, with their results.
+async fn index(extract::State(service): Shared) -> Answer<Response> {
+    let jobs = service.jobs.last(LISTED).await?;
+    let html = upload::on_disk(move || {
+        let rows = jobs.into_iter().map(|job| IndexRow {
+            kind: job.request.kind.name(),
+            state: jobs::word(job.state),
+            report: service
+                .store
+                .job(&job.id)
+                .out()
+                .join("report.html")
+                .exists(),
+            scene: service.store.job(&job.id).scene().exists(),
+            message: job
+                .message
+                .as_deref()
+                .map(printable::line)
+                .unwrap_or_default(),
+            id: job.id,
+            created: job.created,
+        });
+        let page = IndexPage {
+            version: env!("CARGO_PKG_VERSION"),
+            jobs: rows.collect(),
+        };
+        page.render().expect("writing to a string does not fail")
+    });
+    let headers = [
+        (header::CONTENT_TYPE, "text/html; charset=utf-8"),
+        (header::CACHE_CONTROL, "no-store"),
+        (
+            header::CONTENT_SECURITY_POLICY,
+            "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'",
+        ),
+    ];
+    Ok((headers, html.await).into_response())
+}
+
+/// The page at `/`.
+#[derive(Template)]
+#[template(path = "service.html")]
+struct IndexPage {
+    version: &'static str,
+    jobs: Vec<IndexRow>,
+}
+
+/// A job in the page at `/`.
+struct IndexRow {
+    id: String,
+    kind: &'static str,
+    state: &'static str,
+    created: String,
+    message: String,
+    /// Whether there is a report.
+    report: bool,
+    /// Whether there is a scene to view.
+    scene: bool,
 }
 
 /// The bytes of a part of a file, a piece at a time.

@@ -1,7 +1,12 @@
 //! Connections of HTTP/1.1, with an end to everything a client can draw out: the head of a request, reading
 //! its answer, and the number of connections.
 
+use super::guard::OPEN;
+use super::quota::Quota;
+use super::refusal::Refusal;
 use axum::Router;
+use axum::http::StatusCode;
+use axum::response::IntoResponse;
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -15,10 +20,16 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 
-/// Connections at the same time; more wait.
-const CONNECTIONS: usize = 256;
+/// Connections that are served at the same time.
+const CONNECTIONS: usize = 512;
+/// Connections of one address among them.
+const PER_ADDRESS: usize = CONNECTIONS / 4 * 3;
+/// Connections beyond these limits that may still ask whether the service is alive; more wait.
+const RESERVE: usize = 64;
 /// Time in which the head of a request comes, counted from the end of the one before.
 const HEAD: Duration = Duration::from_secs(10);
+/// [`HEAD`] of a connection of the reserve.
+const HEAD_OF_RESERVE: Duration = Duration::from_secs(1);
 /// Time in which a client takes something of an answer.
 const TAKES: Duration = Duration::from_secs(30);
 /// Bytes of a request's head.
@@ -30,18 +41,22 @@ pub struct Peer(pub SocketAddr);
 
 /// Answers every connection with `pages`.
 pub async fn accept(listener: TcpListener, pages: Router) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    let all = Quota::new(CONNECTIONS, PER_ADDRESS);
+    let reserve = Arc::new(Semaphore::new(RESERVE));
     loop {
-        let place = places.clone().acquire_owned().await;
+        let reserved = reserve.clone().acquire_owned().await;
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
-            // Of a client that has gone, or for want of files: both pass.
+            // The client has gone, or files are short: both pass.
             Err(error) => {
                 tracing::warn!("cannot accept a connection: {error}");
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;
             }
         };
+        let place = all.take(peer.ip());
+        let reserved = reserved.ok().filter(|_| place.is_none());
+        let restricted = place.is_none();
         // Answers are small or large, never many small pieces.
         let _ = stream.set_nodelay(true);
         let mut stream = TimeoutStream::new(stream);
@@ -49,19 +64,32 @@ pub async fn accept(listener: TcpListener, pages: Router) {
         let pages = TowerToHyperService::new(pages.clone());
         let pages = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(Peer(peer));
-            pages.call(request)
+            let open = OPEN.contains(&request.uri().path());
+            let answer = (!restricted || open).then(|| pages.call(request));
+            async move {
+                match answer {
+                    Some(answer) => answer.await,
+                    None => Ok(too_many().into_response()),
+                }
+            }
         });
         tokio::spawn(async move {
             let mut http = http1::Builder::new();
             http.timer(TokioTimer::new())
-                .header_read_timeout(HEAD)
+                .header_read_timeout(if restricted { HEAD_OF_RESERVE } else { HEAD })
+                .keep_alive(!restricted)
                 .max_buf_size(LARGEST_HEAD);
             let io = TokioIo::new(Box::pin(stream));
-            // What fails is the client's connection, and only that.
+            // An error concerns this client's connection only.
             if let Err(error) = http.serve_connection(io, pages).await {
                 tracing::debug!(%peer, "connection: {error}");
             }
-            drop(place);
+            drop((place, reserved));
         });
     }
+}
+
+fn too_many() -> Refusal {
+    let message = "too many connections are open; close some or try again in ten seconds";
+    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, message)
 }

@@ -19,13 +19,16 @@ use std::time::{Duration, Instant};
 
 /// Characters of a token at least: 32 hexadecimal digits are 128 bits.
 const SHORTEST_TOKEN: usize = 32;
-/// Wrong tokens from an address in [`MINUTE`] after which it must wait.
+/// Wrong tokens in [`MINUTE`] from one address, and from all, after which further ones are answered late.
 const WRONG_TOKENS: u32 = 10;
+const WRONG_TOKENS_OF_ALL: u32 = 100;
+/// Delay of the answer to a wrong token beyond these numbers.
+const LATE: Duration = Duration::from_secs(1);
 const MINUTE: Duration = Duration::from_secs(60);
 /// Addresses that are remembered.
 const ADDRESSES: usize = 4096;
 /// Pages that need no token: they say nothing of jobs.
-const OPEN: [&str; 2] = ["/healthz", "/readyz"];
+pub const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
 /// What a request must show before a page sees it.
 pub struct Guard {
@@ -133,17 +136,6 @@ impl Guard {
         given: Option<&str>,
         peer: IpAddr,
     ) -> std::result::Result<(), Refusal> {
-        let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
-        wrong.retain(|_, (_, since)| since.elapsed() < MINUTE);
-        if wrong
-            .get(&peer)
-            .is_some_and(|(count, _)| *count >= WRONG_TOKENS)
-        {
-            return Err(Refusal::new(
-                StatusCode::TOO_MANY_REQUESTS,
-                "too many wrong tokens from this address; wait a minute",
-            ));
-        }
         let Some(given) = given.and_then(token_in) else {
             let message = "this service wants a token: the header Authorization: Bearer TOKEN, or in a browser as \
                            the password, with any name";
@@ -152,8 +144,19 @@ impl Guard {
         let given: [u8; 32] = Sha256::digest(given).into();
         // As long for every guess.
         let differs = (token.iter().zip(given)).fold(0, |differs, (a, b)| differs | (a ^ b));
+        // A client with the token is served whatever others at its address send.
         if differs == 0 {
             return Ok(());
+        }
+        let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
+        wrong.retain(|_, (_, since)| since.elapsed() < MINUTE);
+        let of_peer = wrong.get(&peer).map_or(0, |(count, _)| *count);
+        let of_all: u32 = wrong.values().map(|(count, _)| count).sum();
+        if of_peer >= WRONG_TOKENS || of_all >= WRONG_TOKENS_OF_ALL {
+            return Err(Refusal::new(
+                StatusCode::TOO_MANY_REQUESTS,
+                "too many wrong tokens in a minute; this is not the token",
+            ));
         }
         if wrong.len() < ADDRESSES || wrong.contains_key(&peer) {
             wrong.entry(peer).or_insert((0, Instant::now())).0 += 1;
@@ -189,7 +192,19 @@ async fn checked(State(guard): State<Arc<Guard>>, request: Request, next: Next) 
     ) {
         Ok(()) => next.run(request).await,
         Err(refusal) => {
-            tracing::warn!(%peer, path = request.uri().path(), "refused: {}", refusal.message);
+            let path = request.uri().path();
+            match refusal.status {
+                // A browser sends its first request without a token.
+                StatusCode::UNAUTHORIZED
+                    if !request.headers().contains_key(header::AUTHORIZATION) =>
+                {
+                    tracing::info!(%peer, path, "a token is needed");
+                }
+                _ => tracing::warn!(%peer, path, "refused: {}", refusal.message),
+            }
+            if refusal.status == StatusCode::TOO_MANY_REQUESTS {
+                tokio::time::sleep(LATE).await;
+            }
             refusal.into_response()
         }
     }
@@ -270,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_guesses_ten_tokens_a_minute() {
+    fn wrong_tokens_are_limited_by_address_and_in_total_and_the_right_one_is_not() {
         let token = "0123456789abcdef0123456789abcdef";
         let guard = Guard::new("0.0.0.0:1".parse().unwrap(), Some(token), &[]).unwrap();
         let [one, other] = [1, 2].map(|last| IpAddr::from([10, 0, 0, last]));
@@ -300,8 +315,19 @@ mod tests {
                 Err(StatusCode::UNAUTHORIZED)
             );
         }
-        assert_eq!(status(token, one), Err(StatusCode::TOO_MANY_REQUESTS));
-        assert_eq!(status(token, other), Ok(()), "others are not held up");
+        assert_eq!(status("guess", one), Err(StatusCode::TOO_MANY_REQUESTS));
+        assert_eq!(
+            status(token, one),
+            Ok(()),
+            "the client at this address has the token"
+        );
+        assert_eq!(status(token, other), Ok(()));
+        let addresses = (3..).map(|last| IpAddr::from([10, 0, 0, last]));
+        for address in addresses.take((WRONG_TOKENS_OF_ALL - WRONG_TOKENS) as usize) {
+            assert_eq!(status("guess", address), Err(StatusCode::UNAUTHORIZED));
+        }
+        assert_eq!(status("guess", other), Err(StatusCode::TOO_MANY_REQUESTS));
+        assert_eq!(status(token, other), Ok(()));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 //! progress.json  how far it is
 //! result.json    what the command prints with --json
 //! outcome.json   how it ended; not there if it died
+//! in/            the scene and the files that it names: all that its process may read
 //! out/           what the command writes
 //! ```
 
@@ -73,12 +74,19 @@ pub struct Progress {
 #[derive(Debug, Clone)]
 pub struct JobFolder(pub PathBuf);
 
+/// Bytes of a command's result that a job's page shows: lists have a hundred of them.
+const LARGEST_RESULT: u64 = 64 << 10;
 /// Bytes kept for the outcome while there is room on the disk.
 const OUTCOME_BYTES: usize = 1024;
 
 impl JobFolder {
+    /// Folder of the files that the client sent; a path in one of them leads nowhere else.
+    pub fn inputs(&self) -> PathBuf {
+        self.0.join("in")
+    }
+
     pub fn scene(&self) -> PathBuf {
-        self.0.join("scene.toml")
+        self.inputs().join("scene.toml")
     }
 
     pub fn rays(&self) -> PathBuf {
@@ -113,9 +121,10 @@ impl JobFolder {
             .map_err(|error| Error::Usage(format!("{}: {error}", path.display())))
     }
 
-    /// What the command printed.
+    /// Returns the output of the command; `None` if it has more than 64 KiB.
     pub fn result(&self) -> Option<serde_json::Value> {
-        self.read("result.json")
+        let length = fs::metadata(self.result_file()).ok()?.len();
+        (length <= LARGEST_RESULT).then(|| self.read("result.json"))?
     }
 
     pub fn progress(&self) -> Option<Progress> {

@@ -32,6 +32,19 @@ pub enum Kind {
     Rays,
 }
 
+impl Kind {
+    /// As requests and pages name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Kind::Frame => "frame",
+            Kind::Scan => "scan",
+            Kind::Profiles => "profiles",
+            Kind::Sweep => "sweep",
+            Kind::Rays => "rays",
+        }
+    }
+}
+
 /// Where a job is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -58,8 +71,11 @@ pub struct Request {
     pub also: Vec<String>,
     /// The mesh of rays, and its unit.
     pub mesh: Option<(Hash, Option<Unit>)>,
-    /// All that the job reads.
+    /// All files that the job reads.
     pub files: Vec<Hash>,
+    /// Files that other files refer to by these names, such as the buffers of a glTF file.
+    #[serde(default)]
+    pub named: Vec<(String, Hash)>,
 }
 
 /// A job as it is in the table.
@@ -100,6 +116,11 @@ impl Jobs {
     pub fn open(path: &Path) -> Result<Jobs> {
         let open = || -> rusqlite::Result<Connection> {
             let connection = Connection::open(path)?;
+            // Only one service has the store. Without shared memory, which would be a file, a full disk
+            // does not hinder opening.
+            connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
+            // Takes effect in a new table only; an older one is rewritten once.
+            connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
             connection.pragma_update(None, "journal_mode", "WAL")?;
             // Also after a loss of power.
             connection.pragma_update(None, "synchronous", "FULL")?;
@@ -122,6 +143,11 @@ impl Jobs {
                 );
                 CREATE INDEX IF NOT EXISTS by_state ON jobs (state, number);",
             )?;
+            let mode: u32 = connection.query_row("PRAGMA auto_vacuum", [], |row| row.get(0))?;
+            if mode == 0 {
+                // Needs room for a copy: at the latest when there is some.
+                let _ = connection.execute_batch("VACUUM");
+            }
             Ok(connection)
         };
         let connection = open().map_err(|error| Error::Io {
@@ -276,6 +302,12 @@ impl Jobs {
         .await
     }
 
+    /// Whether there is such a job that no process does: it can be taken out at once.
+    pub async fn rests(&self, id: &str) -> std::result::Result<bool, Refusal> {
+        let job = self.get(id).await?;
+        Ok(job.is_some_and(|job| !matches!(job.state, State::Running | State::Cancelled)))
+    }
+
     /// Marks a job that runs as deleted; or takes out one that does not. The state it was in.
     pub async fn delete(&self, id: &str) -> std::result::Result<Option<State>, Refusal> {
         let id = id.to_owned();
@@ -294,6 +326,21 @@ impl Jobs {
             };
             change.commit()?;
             Ok(Some(job.state))
+        })
+        .await
+    }
+
+    /// Returns the pages of deleted jobs to the file system.
+    pub async fn shrink(&self) -> std::result::Result<(), Refusal> {
+        self.with(|connection| {
+            // The log is emptied first: what it holds takes room too.
+            let empty_log = "PRAGMA wal_checkpoint(TRUNCATE)";
+            for pragma in [empty_log, "PRAGMA incremental_vacuum", empty_log] {
+                let mut rows = connection.prepare(pragma)?;
+                let mut rows = rows.query([])?;
+                while rows.next()?.is_some() {}
+            }
+            Ok(())
         })
         .await
     }

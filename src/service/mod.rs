@@ -4,7 +4,7 @@
 //! ```text
 //! STORE/jobs.db        the jobs (SQLite)
 //! STORE/files/HASH     meshes and whatever else a scene names, by SHA-256
-//! STORE/jobs/ID/       a job's folder: scene.toml, links to its files, out/
+//! STORE/jobs/ID/       a job's folder: in/ with scene.toml and links to its files, out/
 //! ```
 //!
 //! The service itself reads no mesh: what a client sends is opened by the job's process, which has limits.
@@ -12,10 +12,12 @@
 
 mod api;
 mod connections;
+mod drain;
 mod guard;
 mod job_folder;
 mod jobs;
 mod metrics;
+mod quota;
 mod refusal;
 mod scene_files;
 mod shared;
@@ -34,9 +36,13 @@ pub use shared::{Service, Settings};
 pub use workers::TOKEN_VARIABLE;
 
 use crate::error::{Error, Result};
+use axum::middleware::from_fn_with_state;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+/// Bytes that are read of a body which is refused, at least: a client finishes sending before it reads why.
+const LEAST_DISCARDED: u64 = 1 << 30;
 
 /// The service's pages.
 pub fn router(service: Arc<Service>) -> axum::Router {
@@ -56,6 +62,8 @@ pub fn serve(
     let settings = &service.settings;
     let guard = Guard::new(settings.listen, settings.token.as_deref(), &settings.hosts)?;
     let pages = guard.around(pages);
+    let discarded = LEAST_DISCARDED.max(settings.largest_file.saturating_mul(2));
+    let pages = pages.layer(from_fn_with_state(discarded, drain::discard_rest));
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .max_blocking_threads(16)

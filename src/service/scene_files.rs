@@ -6,7 +6,7 @@ use axum::http::StatusCode;
 use std::collections::BTreeSet;
 use std::fs;
 
-/// Last words of the keys whose value is a file.
+/// Parts of the keys whose value is a file.
 const FILE_KEYS: [&str; 7] = [
     "sensor",
     "scene",
@@ -54,7 +54,8 @@ fn collect(
     for (key, value) in texts {
         let last = key.rsplit('.').next().unwrap_or(&key);
         let Some(digits) = value.strip_prefix(PREFIX) else {
-            if FILE_KEYS.contains(&last) {
+            // Also below such a key, as in `part.mesh.file.one_of`.
+            if key.split('.').any(|part| FILE_KEYS.contains(&part)) {
                 return Err(wrong(format!(
                     "{what}: {key}: found {value:?}, expected \"{PREFIX}…\", the SHA-256 of a file that was \
                      sent by PUT /v1/files/…"
@@ -132,6 +133,10 @@ mod tests {
             ("[part]\nmesh.file = \"/etc/passwd\"", "part.mesh.file"),
             ("[part]\nmesh.file = \"part.stl\"", "expected \"sha256:"),
             ("scan = { poses = \"../poses.csv\" }", "scan.poses"),
+            (
+                "[random]\n\"part.mesh.file\" = { one_of = [\"job.json\"] }",
+                "expected \"sha256:",
+            ),
             ("[part]\ncopies = \"\\u002e\\u002e\\u002fx\"", "part.copies"),
             ("new_key = [[\"a/b\"]]", "without slashes"),
             ("\"a.b\" = { \"c\" = \"..\\\\x\" }", "without slashes"),

@@ -3,6 +3,7 @@
 use super::job_folder::Limits;
 use super::jobs::Jobs;
 use super::metrics::Metrics;
+use super::quota::Quota;
 use super::slots::Slots;
 use super::store::Store;
 use crate::error::Result;
@@ -10,7 +11,12 @@ use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::{Mutex, RwLock, Semaphore};
+
+/// Bytes of free room below which the reserved room is released at the start.
+const LEAST_ROOM: u64 = 1 << 16;
+/// Event streams at the same time; one address has half of them at most.
+const EVENT_STREAMS: usize = 64;
 
 /// What a service is started with.
 #[derive(Debug, Clone)]
@@ -43,6 +49,10 @@ pub struct Service {
     pub(super) slots: Slots,
     pub(super) views: Views,
     pub(super) metrics: Metrics,
+    /// Read while a job is accepted, written while a file is removed.
+    pub(super) files: RwLock<()>,
+    /// Clients that follow a job by events.
+    pub(super) events: Quota,
 }
 
 /// Live views.
@@ -60,6 +70,10 @@ impl Service {
     /// `Error::Busy`; what the file system or SQLite refuse.
     pub fn open(settings: Settings) -> Result<Arc<Service>> {
         let store = Store::open(&settings.store)?;
+        // Opening the table may need to write: on a full disk, the room that is reserved for it.
+        if store.free().is_some_and(|free| free < LEAST_ROOM) {
+            store.give_room();
+        }
         let jobs = Jobs::open(&settings.store.join("jobs.db"))?;
         Ok(Arc::new(Service {
             slots: Slots::new(settings.jobs_at_once),
@@ -68,6 +82,8 @@ impl Service {
                 turn: Mutex::default(),
             },
             metrics: Metrics::default(),
+            files: RwLock::default(),
+            events: Quota::new(EVENT_STREAMS, EVENT_STREAMS / 2),
             settings,
             store,
             jobs,

@@ -8,6 +8,7 @@ use rustix::fs::{Mode, OFlags};
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
 use std::io;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// A SHA-256 in lower-case hexadecimal digits, checked.
@@ -60,6 +61,9 @@ impl Store {
     /// `Error::Busy`: another service has it.
     pub fn open(folder: &Path) -> Result<Store> {
         files::create_folder(folder)?;
+        // Scenes and parts may be confidential: only the service's user reads them.
+        let own = fs::Permissions::from_mode(0o700);
+        fs::set_permissions(folder, own).map_err(Error::io("protect", folder))?;
         let path = folder.join("lock");
         let lock = files::open_own_file(&path).map_err(Error::io("open", &path))?;
         match lock.try_lock() {
@@ -106,13 +110,24 @@ impl Store {
         Some(all.f_bavail * all.f_frsize)
     }
 
-    /// A job's folder with what it reads: `text` as the file `name`, and links to the files.
-    pub fn make_job(&self, id: &str, name: &Path, text: &[u8], files_read: &[Hash]) -> Result<()> {
-        let folder = self.job(id).0;
-        files::create_own_folder(&folder)?;
+    /// Makes a job's folder with its inputs: `text` as the file `name`, and links to the files that it
+    /// reads, by hash and by the names that the client gave to them.
+    pub fn make_job(
+        &self,
+        id: &str,
+        name: &Path,
+        text: &[u8],
+        files_read: &[Hash],
+        named: &[(String, Hash)],
+    ) -> Result<()> {
+        let job = self.job(id);
+        files::create_own_folder(&job.0)?;
+        files::create_own_folder(&job.inputs())?;
         files::write_bytes(name, text)?;
-        for hash in files_read {
-            let path = folder.join(hash.name());
+        let by_hash = files_read.iter().map(|hash| (hash.name(), hash));
+        let by_name = named.iter().map(|(name, hash)| (name.clone(), hash));
+        for (name, hash) in by_hash.chain(by_name) {
+            let path = job.inputs().join(name);
             match fs::hard_link(self.file(hash), &path) {
                 Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
                     return Err(Error::io("link", &path)(error));
@@ -183,15 +198,16 @@ mod tests {
         let out = store.job("1").out();
         fs::create_dir_all(out.join("frames")).unwrap();
         fs::write(out.join("frames/a.png"), "a").unwrap();
+        fs::create_dir(store.job("1").inputs()).unwrap();
         fs::write(store.job("1").scene(), "secret").unwrap();
-        std::os::unix::fs::symlink("../scene.toml", out.join("link")).unwrap();
+        std::os::unix::fs::symlink("../in/scene.toml", out.join("link")).unwrap();
         std::os::unix::fs::symlink("..", out.join("up")).unwrap();
         assert!(store.open_result("1", "frames/a.png").is_ok());
         for path in [
-            "../scene.toml",
-            "frames/../../scene.toml",
+            "../in/scene.toml",
+            "frames/../../in/scene.toml",
             "link",
-            "up/scene.toml",
+            "up/in/scene.toml",
             "frames",
             "",
             "/etc/passwd",
@@ -203,6 +219,19 @@ mod tests {
         }
         let names: Vec<String> = store.results("1").into_iter().map(|f| f.name).collect();
         assert_eq!(names, ["frames/a.png"]);
+    }
+
+    #[test]
+    fn only_its_user_may_look_into_a_store() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("store");
+        fs::create_dir(&path).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        let _store = Store::open(&path).unwrap();
+        assert_eq!(
+            fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+            0o700
+        );
     }
 
     #[test]

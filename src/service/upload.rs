@@ -4,7 +4,7 @@ use super::refusal::Refusal;
 use super::store::{Hash, Store};
 use crate::error::Error;
 use axum::body::{Body, BodyDataStream, Bytes};
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode, header};
 use futures_util::StreamExt;
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};
@@ -67,6 +67,19 @@ impl Pieces {
 fn too_large(largest: u64) -> Refusal {
     let message = format!("the body is larger than {largest} bytes");
     Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, message)
+}
+
+/// The value of the header Content-Length.
+pub fn length(headers: &HeaderMap) -> Option<u64> {
+    let value = headers.get(header::CONTENT_LENGTH)?;
+    value.to_str().ok()?.parse().ok()
+}
+
+/// Reads a body to its end, unless it is too slow or has more than `largest` bytes.
+pub async fn discard(body: Body, length: Option<u64>, largest: u64) {
+    if let Ok(mut pieces) = Pieces::of(body, length, largest) {
+        while let Ok(Some(_)) = pieces.next().await {}
+    }
 }
 
 /// A whole body in memory.

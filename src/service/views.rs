@@ -11,6 +11,8 @@ use axum::http::{Request, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use hyper::client::conn::http1;
 use hyper_util::rt::TokioIo;
+use std::fs::File;
+use std::os::fd::AsRawFd;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::UnixStream;
@@ -47,25 +49,33 @@ pub async fn ask(
     Ok(answer.map(Body::new).into_response())
 }
 
-/// A connection with the job's view, once its scene is built.
+/// Connects to the job's view, once its scene is built.
 async fn connected(
     service: &Arc<Service>,
     job: &JobFolder,
 ) -> std::result::Result<UnixStream, Refusal> {
     let view = job.view();
-    let socket = view.0.join(SOCKET);
-    if let Ok(stream) = UnixStream::connect(&socket).await {
+    if let Some(stream) = connect(&view).await {
         return Ok(stream);
     }
-    // One at a time, so that no scene is built twice.
-    let _turn = service.views.turn.lock().await;
-    let opened = match view.is_locked() {
-        // By a service that was killed.
-        true => None,
-        false => Some(open(service, job, &view)?),
+    let opened = {
+        // One at a time, so that no scene is built twice.
+        let _turn = service.views.turn.lock().await;
+        match view.is_locked() {
+            // Another request opened it, or a service that was killed.
+            true => None,
+            false => {
+                let opened = open(service, job, &view)?;
+                // From then on others find the view locked.
+                while !view.is_locked() && !opened.is_finished() {
+                    sleep(LOOK).await;
+                }
+                Some(opened)
+            }
+        }
     };
     loop {
-        if let Ok(stream) = UnixStream::connect(&socket).await {
+        if let Some(stream) = connect(&view).await {
             return Ok(stream);
         }
         let ended = match &opened {
@@ -80,6 +90,16 @@ async fn connected(
         }
         sleep(LOOK).await;
     }
+}
+
+/// Connects to a view's socket, if it is there.
+///
+/// The address of a socket has 107 bytes at most, which a long path of the store exceeds. The path through the
+/// opened folder is short.
+async fn connect(view: &JobFolder) -> Option<UnixStream> {
+    let folder = File::open(&view.0).ok()?;
+    let path = format!("/proc/self/fd/{}/{SOCKET}", folder.as_raw_fd());
+    UnixStream::connect(path).await.ok()
 }
 
 fn open(
@@ -113,7 +133,7 @@ fn begin(service: &Service, view: &JobFolder) -> Result<tokio::process::Child> {
     crate::run::files::create_own_folder(&view.0)?;
     let limits = service.settings.limits;
     let threads = format!("--threads={}", limits.threads);
-    let arguments = ["view", "../scene.toml", "--socket", SOCKET, &threads];
+    let arguments = ["view", "../in/scene.toml", "--socket", SOCKET, &threads];
     let task = Task {
         arguments: arguments.map(str::to_owned).to_vec(),
         limits,

@@ -171,7 +171,7 @@ fn prepare(service: &Service, job: &Job, body: &[u8]) -> Result<()> {
     };
     service
         .store
-        .make_job(&job.id, &text, body, &job.request.files)
+        .make_job(&job.id, &text, body, &job.request.files, &job.request.named)
 }
 
 /// Starts a process that does a task in its folder, where files take what it prints; it ends with the service or
@@ -206,15 +206,15 @@ fn task(service: &Service, request: &super::jobs::Request) -> Task {
     let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<String>>();
     let mut arguments = match request.kind {
         Kind::Frame => words(&format!(
-            "render scene.toml --frame {} -o out",
+            "render in/scene.toml --frame {} -o out",
             request.frame
         )),
-        Kind::Scan => words("scan scene.toml -o out --resume"),
-        Kind::Profiles => words("scan scene.toml -o out --resume --geometry-only"),
-        Kind::Sweep => words("sweep scene.toml -o out"),
+        Kind::Scan => words("scan in/scene.toml -o out --resume"),
+        Kind::Profiles => words("scan in/scene.toml -o out --resume --geometry-only"),
+        Kind::Sweep => words("sweep in/scene.toml -o out"),
         Kind::Rays => {
             let (mesh, unit) = request.mesh.as_ref().expect("rays have a mesh");
-            let mut arguments = words(&format!("rays {} rays.json -o out", mesh.name()));
+            let mut arguments = words(&format!("rays in/{} rays.json -o out", mesh.name()));
             arguments.extend(unit.iter().map(|unit| format!("--unit={unit}")));
             arguments
         }

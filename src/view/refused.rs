@@ -1,6 +1,6 @@
 //! Why a request got no picture.
 
-use crate::error::Error;
+use crate::error::{Error, printable};
 use serde::Serialize;
 
 /// What the page shows in place of a picture.
@@ -69,13 +69,13 @@ impl From<Error> for Refused {
                 let (found, expected) = (&mistake.found, &mistake.expected);
                 Refused {
                     key,
-                    message: format!("{place}found {found}, expected {expected}"),
+                    message: printable::line(&format!("{place}found {found}, expected {expected}")),
                     status: 422,
                 }
             }
             Error::Usage(message) => Refused {
                 key: None,
-                message: message.clone(),
+                message: printable::line(message),
                 status: 422,
             },
             other => Refused {

@@ -5,13 +5,11 @@ use super::values::{Base, Files, Values};
 use crate::camera::Counts;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::spread;
-use crate::math::{Aabb, DVec3, Rigid};
-use crate::report::color::Rgb;
+use crate::math::{Aabb, DVec3};
 use crate::report::live::Slider;
 use crate::report::picture::{encode_counts, for_eyes};
 use crate::report::viewer::{Layer, Under, Viewer, layers};
-use crate::run::report::{Limits, point_modes};
+use crate::run::report::{Limits, point_modes, point_values};
 use crate::run::{Control, Simulation, check_frame, check_ready, check_text, drawing};
 use crate::scene::Scene;
 use rayon::ThreadPool;
@@ -119,46 +117,8 @@ impl Session {
     pub fn viewer(&self) -> Viewer {
         Viewer {
             look: [0.6, 0.6],
-            under: Some(self.under()),
+            under: Some(Under::part(&self.own.accel, MOST_TRIANGLES, self.bounds)),
             layers: Vec::new(),
-        }
-    }
-
-    fn under(&self) -> Under {
-        let accel = &self.own.accel;
-        let shade = |normal: DVec3| -> Rgb {
-            // As a lamp above the viewer's left shoulder would, from both sides.
-            let light = DVec3::new(-0.4, -0.5, 0.75).normalize();
-            [(110.0 + 110.0 * normal.dot(light).abs()) as u8; 3]
-        };
-        let mesh = accel.mesh();
-        let triangles = mesh.triangles.len() * accel.poses().len() <= MOST_TRIANGLES;
-        let corners = match triangles {
-            true => {
-                let of_copy = |pose: &Rigid| {
-                    let pose = *pose;
-                    (0..mesh.triangles.len()).flat_map(move |i| {
-                        let corners = mesh.triangle(i).map(|p| pose.point(p));
-                        let [a, b, c] = corners;
-                        let color = shade((b - a).cross(c - a).normalize_or_zero());
-                        corners.map(|p| (p, color))
-                    })
-                };
-                accel.poses().iter().flat_map(of_copy).collect()
-            }
-            false => {
-                let places =
-                    spread(accel, MOST_TRIANGLES).map_or(Vec::new(), |places| places.points);
-                places
-                    .into_iter()
-                    .map(|(p, normal)| (p, shade(normal)))
-                    .collect()
-            }
-        };
-        Under {
-            corners,
-            triangles,
-            bounds: self.bounds,
         }
     }
 
@@ -275,6 +235,7 @@ impl Session {
         let shown: Vec<&CloudPoint> = points.iter().filter(inside).collect();
         let layer = Layer {
             positions: shown.iter().map(|p| p.position).collect(),
+            values: point_values(&shown),
             modes: point_modes(&shown, &Limits::of(points)),
         };
         layers(&[layer], Some(self.bounds))

@@ -1,6 +1,6 @@
 //! Each attack that docs/security.md names, tried.
 
-use super::client::{Answer, SQUARE, Served, digits};
+use super::client::{Answer, PATIENCE, SQUARE, Served, digits};
 use super::program::{PLANE, run, scene};
 use std::fs;
 use std::io::{Read, Write};
@@ -21,13 +21,13 @@ fn no_path_of_a_client_reaches_the_file_system() {
     symlink(store.path().join("secret"), out.join("link.png")).unwrap();
     symlink(store.path(), out.join("folder")).unwrap();
     for path in [
-        "../scene.toml",
-        "..%2fscene.toml",
-        "%2e%2e/scene.toml",
+        "../in/scene.toml",
+        "..%2fin%2fscene.toml",
+        "%2e%2e/in/scene.toml",
         "..%2f..%2f..%2f..%2fsecret",
         "%2fetc%2fpasswd",
         "/etc/passwd",
-        "a/../../scene.toml",
+        "a/../../in/scene.toml",
         "frame-000000.png%00",
         "link.png",
         "folder/secret",
@@ -63,17 +63,25 @@ fn no_path_of_a_client_reaches_the_file_system() {
         let text = scene(&format!("mesh = {{ file = \"{file}\", unit = \"mm\" }}"));
         assert_eq!(served.post("kind=scan", &[], &text).status, 422, "{file}");
     }
-    // A mesh that names another file: only a name with a colon would be there, and that is refused.
-    let gltf = r#"{"asset":{"version":"2.0"},"buffers":[{"uri":"../../../../secret","byteLength":6}],
-        "bufferViews":[{"buffer":0,"byteLength":6}],"accessors":[{"bufferView":0,"componentType":5126,
-        "count":3,"type":"VEC3"}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
-        "nodes":[{"mesh":0}],"scenes":[{"nodes":[0]}],"scene":0}"#;
-    let name = served.put(gltf.as_bytes());
-    let job = served.end(&served.job(
-        "kind=scan",
-        &scene(&format!("mesh = {{ file = \"{name}\" }}")),
-    ));
-    assert_eq!(job["exit_code"], 65, "{job}");
+    // A mesh that names a file which the client did not send: the job's own files are not in its folder.
+    for uri in [
+        "../../../../secret",
+        "../job.json",
+        "job.json",
+        "result.json",
+        "lock",
+        "../out/a",
+    ] {
+        let name = served.put(gltf_with(uri).as_bytes());
+        let job = served.end(&served.job(
+            "kind=scan",
+            &scene(&format!("mesh = {{ file = \"{name}\" }}")),
+        ));
+        assert!(
+            matches!(job["exit_code"].as_u64(), Some(65 | 74)),
+            "{uri}: {job}"
+        );
+    }
     // Words that look like options of the command line are no options.
     for query in [
         "kind=scan&frames=--help..3",
@@ -84,6 +92,65 @@ fn no_path_of_a_client_reaches_the_file_system() {
             matches!(served.post(query, &[], &scene(PLANE)).status, 400 | 422),
             "{query}"
         );
+    }
+}
+
+/// A glTF file of one triangle whose buffer is elsewhere.
+pub fn gltf_with(uri: &str) -> String {
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"uri":"{uri}","byteLength":36}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36}}],"accessors":[{{"bufferView":0,"componentType":5126,
+        "count":3,"type":"VEC3"}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+        "nodes":[{{"mesh":0}}],"scenes":[{{"nodes":[0]}}],"scene":0}}"#
+    )
+}
+
+/// As many clients as the service had connections follow a job and read nothing: they held every connection.
+#[test]
+fn clients_that_never_read_hold_up_neither_health_nor_jobs() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &["--jobs", "1"]);
+    served.put(SQUARE.as_bytes());
+    let id = served.job("kind=scan", &long());
+    let request = format!("GET /v1/jobs/{id}/events HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let silent: Vec<_> = (0..256).map(|_| served.send(request.as_bytes())).collect();
+    let start = Instant::now();
+    assert_eq!(served.get("/healthz").status, 200);
+    assert_eq!(served.post("kind=frame", &[], &scene(PLANE)).status, 202);
+    eprintln!("healthz and a job after {:?}", start.elapsed());
+    // So do as many that send nothing.
+    let idle: Vec<_> = (0..256).map(|_| served.send(b"")).collect();
+    assert_eq!(served.get("/healthz").status, 200);
+    drop((silent, idle));
+    // The service notices that they have gone.
+    let start = Instant::now();
+    while served.get("/v1/jobs").status == 503 {
+        assert!(start.elapsed() < PATIENCE);
+        sleep(Duration::from_millis(50));
+    }
+    let deleted = served.ask("DELETE", &format!("/v1/jobs/{id}"), &[], b"");
+    assert_eq!(deleted.status, 202);
+}
+
+#[test]
+fn a_long_text_in_a_field_does_not_come_back_whole() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let name = served.put(SQUARE.as_bytes());
+    let text = "x".repeat(3 << 20);
+    let rays = serde_json::json!({ "rays": [text] }).to_string();
+    let id = served.job(&format!("kind=rays&mesh={name}&unit=mm"), &rays);
+    assert_eq!(served.end(&id)["state"], "failed");
+    let wide = scene(PLANE).replace("seed = 1", &format!("seed = \"{}\"", &text[..900_000]));
+    let answer = served.post("kind=scan", &[], &wide);
+    assert!(matches!(answer.status, 202 | 422), "{}", answer.status);
+    if answer.status == 202 {
+        served.end(answer.json()["id"].as_str().unwrap());
+    }
+    for path in [format!("/v1/jobs/{id}"), "/v1/jobs".to_owned()] {
+        let length = served.get(&path).body.len();
+        // Two messages of 2000 characters and four values of 300 for each of two jobs.
+        assert!(length < 20_000, "{path}: {length} bytes");
     }
 }
 
@@ -240,6 +307,11 @@ fn a_token_is_asked_for_and_cannot_be_guessed_quickly() {
     }
     assert_eq!(statuses[..10], [401; 10]);
     assert_eq!(statuses[10..], [429; 10]);
+    let answer = served.ask("GET", "/v1/jobs", &[("Authorization", &good)], b"");
+    assert_eq!(
+        answer.status, 200,
+        "the token is right, whatever was sent before"
+    );
     drop(served);
     for (listen, token) in [
         ("0.0.0.0:0", None),

@@ -90,6 +90,22 @@ impl Served {
         Answer::of(&bytes, method == "HEAD")
     }
 
+    /// Sends a request as Python's `http.client` does: the whole body before the answer is read.
+    pub fn ask_after_body(&self, method: &str, path: &str, body: &[u8]) -> std::io::Result<Answer> {
+        let head = format!(
+            "{method} {path} HTTP/1.1\r\nHost: {}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+            self.address,
+            body.len()
+        );
+        let mut stream = self.send(head.as_bytes());
+        for piece in body.chunks(1 << 13) {
+            stream.write_all(piece)?;
+        }
+        let mut bytes = Vec::new();
+        stream.read_to_end(&mut bytes)?;
+        Ok(Answer::of(&bytes, false))
+    }
+
     pub fn get(&self, path: &str) -> Answer {
         self.ask("GET", path, &[], b"")
     }
@@ -311,9 +327,12 @@ pub fn long_scene(frames: u32) -> String {
 
 /// What the command line gives of the same scene in a folder of its own.
 pub fn by_command(scene: &str, arguments: &[&str]) -> BTreeMap<String, Vec<u8>> {
-    let folder = super::program::folder_with(scene);
+    let folder = tempfile::tempdir().unwrap();
+    let inputs = folder.path().join("in");
+    fs::create_dir(&inputs).unwrap();
+    fs::write(inputs.join("scene.toml"), scene).unwrap();
     let mesh = format!("sha256:{}", digits(SQUARE.as_bytes()));
-    fs::write(folder.path().join(mesh), SQUARE).unwrap();
+    fs::write(inputs.join(mesh), SQUARE).unwrap();
     let (code, _, said) = super::program::run(folder.path(), arguments);
     assert_eq!(code, 0, "{said}");
     let mut found = BTreeMap::new();

@@ -24,7 +24,7 @@ fn kill(process: u32) {
     assert!(killed.unwrap().success());
 }
 
-const SCAN: [&str; 4] = ["scan", "scene.toml", "-o", "out"];
+const SCAN: [&str; 4] = ["scan", "in/scene.toml", "-o", "out"];
 
 #[test]
 fn kill_9_of_the_service_loses_no_job_and_repeats_none() {
@@ -243,6 +243,54 @@ fn a_full_disk_is_said_and_the_job_goes_on_when_there_is_room() {
     assert!(job["starts"].as_u64() >= Some(2), "{job}");
     assert_same(served.results(&id), by_command(&text, &SCAN));
     assert_eq!(served.get("/readyz").status, 200);
+}
+
+/// Fills a disk to its last byte.
+fn fill(disk: &Path) {
+    let mut file = fs::File::create(disk.join("filler")).unwrap();
+    for size in [1 << 20, 1 << 12, 1] {
+        let bytes = vec![1; size];
+        while file.write_all(&bytes).is_ok() {}
+    }
+}
+
+#[test]
+fn a_full_disk_is_cleared_by_one_deletion_and_a_restart() {
+    let Some(disk) = SmallDisk::new("60m") else {
+        eprintln!("SKIPPED, a full disk is NOT tested: this user may not mount a tmpfs");
+        return;
+    };
+    let store = disk.0.path().join("store");
+    let mut served = Served::start(&store, &["--jobs", "1"]);
+    let name = served.put(SQUARE.as_bytes());
+    let kept = served.job("kind=frame", &square_scene());
+    let expected = served.done(&kept);
+    // Bodies of 3 MB each, which the table holds.
+    let ray = "[0.0, 0.0, 10.0, 0.0, 0.0, -1.0],".repeat(90_000);
+    let rays = format!("{{\"rays\": [{}]}}", ray.trim_end_matches(','));
+    let query = format!("kind=rays&mesh={name}&unit=mm");
+    let large: Vec<String> = (0..2).map(|_| served.job(&query, &rays)).collect();
+    for id in &large {
+        served.end(id);
+    }
+    fill(disk.0.path());
+    served.kill();
+    fill(disk.0.path());
+    let served = Served::start(&store, &["--jobs", "1"]);
+    assert_eq!(served.get("/healthz").status, 200);
+    let deleted = served.ask("DELETE", &format!("/v1/jobs/{}", large[0]), &[], b"");
+    assert_eq!(deleted.status, 204, "{deleted:?}");
+    drop(served);
+    let served = Served::start(&store, &["--jobs", "1"]);
+    assert_eq!(served.get(&format!("/v1/jobs/{}", large[0])).status, 404);
+    assert_eq!(served.state(&large[1])["id"], large[1].as_str());
+    assert_eq!(served.state(&kept), expected);
+    served.done(&served.job("kind=frame", &square_scene()));
+    // The table's file shrinks with its contents.
+    let deleted = served.ask("DELETE", &format!("/v1/jobs/{}", large[1]), &[], b"");
+    assert_eq!(deleted.status, 204, "{deleted:?}");
+    let left = fs::metadata(store.join("jobs.db")).unwrap().len();
+    assert!(left < rays.len() as u64, "{left} bytes");
 }
 
 #[test]

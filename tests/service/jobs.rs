@@ -26,21 +26,24 @@ fn jobs_give_the_bytes_of_the_command_line() {
         (&json!(0), &json!(1))
     );
     assert_eq!(done["result"]["frames"], 3, "{done}");
-    let expected = by_command(&text, &["scan", "scene.toml", "-o", "out", "--also", "csv"]);
+    let expected = by_command(
+        &text,
+        &["scan", "in/scene.toml", "-o", "out", "--also", "csv"],
+    );
     assert!(expected.contains_key("cloud.ply") && expected.contains_key("frames/frame-000002.png"));
     assert_same(served.results(&scan), expected);
 
     served.done(&frame);
     let expected = by_command(
         &text,
-        &["render", "scene.toml", "--frame", "1", "-o", "out"],
+        &["render", "in/scene.toml", "--frame", "1", "-o", "out"],
     );
     assert_same(served.results(&frame), expected);
 
     served.done(&profiles);
     let arguments = [
         "scan",
-        "scene.toml",
+        "in/scene.toml",
         "-o",
         "out",
         "--geometry-only",
@@ -66,7 +69,10 @@ fn jobs_give_the_bytes_of_the_command_line() {
 
     // The folder is what a user would have typed in, with nothing beside it but the service's own.
     let folder = store.path().join("jobs").join(&scan);
-    assert_eq!(fs::read_to_string(folder.join("scene.toml")).unwrap(), text);
+    assert_eq!(
+        fs::read_to_string(folder.join("in/scene.toml")).unwrap(),
+        text
+    );
     assert!(folder.join("out/manifest.json").exists());
 }
 
@@ -218,6 +224,128 @@ fn a_part_of_a_result_is_what_its_range_says() {
 }
 
 #[test]
+fn a_version_of_a_result_has_its_tag() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let id = served.job("kind=frame", &scene(PLANE));
+    served.done(&id);
+    let path = format!("/v1/jobs/{id}/files/frame-000000.png");
+    let whole = served.get(&path);
+    let tag = whole.headers["etag"].clone();
+    let other = served.get(&format!("/v1/jobs/{id}/files/frame-000000.exr"));
+    assert_ne!(other.headers["etag"], tag);
+    let ask = |headers: &[(&str, &str)]| served.ask("GET", &path, headers, b"");
+    let known = ask(&[("If-None-Match", &tag)]);
+    assert_eq!((known.status, known.body.len()), (304, 0));
+    assert_eq!(ask(&[("If-None-Match", "\"other\"")]).status, 200);
+    let range = ("Range", "bytes=5-9");
+    assert_eq!(ask(&[range, ("If-Range", &tag)]).status, 206);
+    let changed = ask(&[range, ("If-Range", "\"other\"")]);
+    assert_eq!(
+        (changed.status, changed.body.len()),
+        (200, whole.body.len())
+    );
+}
+
+#[test]
+fn a_refused_file_is_read_to_its_end() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &["--file-mb", "8"]);
+    for megabytes in [1, 3, 8] {
+        let file = vec![megabytes as u8; megabytes * 1_000_000];
+        let path = format!("/v1/files/{}", digits(&file));
+        for status in [201, 200, 200] {
+            let answer = served.ask_after_body("PUT", &path, &file).unwrap();
+            assert_eq!(answer.status, status, "{megabytes} MB");
+        }
+    }
+    for megabytes in [9, 20, 60] {
+        let file = vec![megabytes as u8; megabytes * 1_000_000];
+        let path = format!("/v1/files/{}", digits(&file));
+        let answer = served.ask_after_body("PUT", &path, &file).unwrap();
+        assert_eq!(answer.status, 413, "{megabytes} MB: {answer:?}");
+    }
+}
+
+#[test]
+fn a_mesh_may_name_files_that_were_sent() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    // A triangle of some 10 mm; glTF is in metres.
+    let corners: [f32; 9] = [-0.01, -0.01, 0.0, 0.01, -0.01, 0.0, 0.0, 0.01, 0.0];
+    let buffer: Vec<u8> = corners.iter().flat_map(|x| x.to_le_bytes()).collect();
+    let buffer = served.put(&buffer);
+    let mesh = served.put(super::attacks::gltf_with("part.bin").as_bytes());
+    let text = scene(&format!("mesh = {{ file = \"{mesh}\" }}"));
+    let text = text.replace("write_frames = true", "write_frames = false");
+    let id = served.job(&format!("kind=profiles&files=part.bin={buffer}"), &text);
+    let job = served.done(&id);
+    assert!(job["result"]["points"].as_u64() > Some(0), "{job}");
+    let without = served.end(&served.job("kind=profiles", &text));
+    assert_eq!(without["state"], "failed");
+    for name in ["", "..", "../a", "a/b", ".a", "scene.toml", "sha256:x"] {
+        let answer = served.post(&format!("kind=profiles&files={name}={buffer}"), &[], &text);
+        assert_eq!(answer.status, 422, "{name}: {answer:?}");
+    }
+}
+
+#[test]
+fn people_find_a_page_and_what_a_failed_job_printed() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &[]);
+    let empty = served.get("/");
+    assert_eq!(
+        (empty.status, &empty.headers["content-type"][..]),
+        (200, "text/html; charset=utf-8")
+    );
+    let id = served.job("kind=scan", "seed = 1\nnonsense = 2\n");
+    assert_eq!(served.end(&id)["state"], "failed");
+    let log = served.get(&format!("/v1/jobs/{id}/log"));
+    assert_eq!(log.status, 200);
+    assert!(log.text().contains("nonsense"), "{log:?}");
+    let page = served.get("/").text();
+    assert!(page.contains(&id) && page.contains("failed"), "{page}");
+    assert_eq!(served.get("/v1/jobs/none/log").status, 404);
+}
+
+#[test]
+fn a_file_is_not_removed_while_a_job_with_it_is_accepted() {
+    let store = tempfile::tempdir().unwrap();
+    let served = Served::start(store.path(), &["--jobs", "1"]);
+    let text = square_scene();
+    let path = format!("/v1/files/{}", digits(SQUARE.as_bytes()));
+    let mut ids = Vec::new();
+    for _ in 0..20 {
+        served.put(SQUARE.as_bytes());
+        std::thread::scope(|scope| {
+            let post = scope.spawn(|| served.post("kind=frame", &[], &text));
+            let delete = scope.spawn(|| served.ask("DELETE", &path, &[], b"").status);
+            let answer = post.join().unwrap();
+            // Either the job came first and the file stays, or the job is refused.
+            match answer.status {
+                202 => ids.push(answer.json()["id"].as_str().unwrap().to_owned()),
+                status => assert_eq!(status, 422, "{answer:?}"),
+            }
+            assert!(matches!(delete.join().unwrap(), 204 | 409));
+        });
+    }
+    for id in ids {
+        served.done(&id);
+    }
+}
+
+#[test]
+fn a_view_opens_in_a_store_with_a_long_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = folder.path().join("x".repeat(150));
+    let served = Served::start(&store, &[]);
+    let id = served.job("kind=frame", &scene(PLANE));
+    served.done(&id);
+    let page = served.get(&format!("/v1/jobs/{id}/view/"));
+    assert_eq!(page.status, 200, "{page:?}");
+}
+
+#[test]
 fn a_job_sent_again_with_its_key_is_the_same_job() {
     let store = tempfile::tempdir().unwrap();
     let mut served = Served::start(store.path(), &[]);
@@ -324,7 +452,7 @@ fn mistakes_are_said_with_what_to_do() {
     let error = &job["result"]["error"];
     assert_eq!(
         (&error["key"], &error["file"]),
-        (&json!("camera.f_number"), &json!("scene.toml"))
+        (&json!("camera.f_number"), &json!("in/scene.toml"))
     );
     assert!(
         job["message"].as_str().unwrap().contains("found -8"),
@@ -384,7 +512,7 @@ fn events_follow_a_job_to_its_end_and_deleting_stops_it() {
     assert!(gone() && !folder.exists());
     assert_eq!(served.ask("DELETE", &mesh, &[], b"").status, 204);
     // What a job read stays with it.
-    let folder = store.path().join("jobs").join(&waits);
+    let folder = store.path().join("jobs").join(&waits).join("in");
     assert!(
         folder
             .join(format!("sha256:{}", digits(SQUARE.as_bytes())))

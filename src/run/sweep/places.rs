@@ -62,13 +62,14 @@ impl Places {
                 let number = |text: &str| text.parse::<u32>().ok();
                 let ends = text.get_ref().split_once("..");
                 let range = ends.and_then(|(a, b)| Some(number(a)?..number(b)?));
+                let range = range.filter(|range| !range.is_empty());
                 let wrong = || {
                     let (at, found) = (text.span().start, format!("{:?}", text.get_ref()));
                     written.wrong(
                         Some(at),
                         Some("frames"),
                         &found,
-                        "two frame numbers: \"10..20\"",
+                        "two frame numbers, the first less than the second: \"10..20\"",
                     )
                 };
                 Some(range.ok_or_else(wrong)?)
