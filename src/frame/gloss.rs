@@ -21,6 +21,8 @@ pub(super) struct Gloss<'a> {
     /// Points of the pupil (part's frame, mm), from its middle (pupil radii, along the image's
     /// columns and rows), and their shares.
     pupil: Vec<(DVec3, DVec2, f64)>,
+    /// Normal of the pupil's plane (part's frame), a unit vector.
+    axis: DVec3,
     laser_from_camera: Rigid,
 }
 
@@ -72,16 +74,30 @@ impl<'a> Gloss<'a> {
                 .into_iter()
                 .map(point)
                 .collect(),
+            axis: axes.z_axis,
             laser_from_camera: view.part_from_laser.inverse() * view.part_from_camera,
         }
     }
 
-    /// Mean of the BRDF over the pupil, 1/sr; vectors of the part's frame.
+    /// Mean of the BRDF over the projected solid angle of the pupil, 1/sr: ∫f·cosθ_o dΩ / ∫cosθ_o dΩ,
+    /// where θ_o is the angle to the surface normal. Vectors are in the part's frame.
     pub fn bsdf(&self, point: DVec3, normal: DVec3, towards_light: DVec3) -> f64 {
         let lit = self.surface.lit(point, normal, towards_light);
-        let of =
-            |(eye, _, share): &(DVec3, DVec2, f64)| share * lit.bsdf((eye - point).normalize());
-        self.pupil.iter().map(of).sum()
+        let (mut light, mut angle) = (0.0, 0.0);
+        for (eye, _, weight) in &self.pupil {
+            let sight = *eye - point;
+            let distance = sight.length();
+            let towards_eye = sight / distance;
+            let on_pupil = towards_eye.dot(self.axis).abs();
+            let on_surface = towards_eye.dot(normal).max(0.0);
+            let projected = weight * on_surface * on_pupil / (distance * distance);
+            light += projected * lit.bsdf(towards_eye);
+            angle += projected;
+        }
+        match angle > 0.0 {
+            true => light / angle,
+            false => 0.0,
+        }
     }
 
     /// By how much (columns and rows, pixels) the middle of the light that the lens spreads lies beside where

@@ -38,7 +38,7 @@ impl Ggx {
     }
 
     /// Smith's Λ(w).
-    fn lambda(&self, w: DVec3) -> f64 {
+    pub(super) fn lambda(&self, w: DVec3) -> f64 {
         let tan2 = (w.truncate() * self.alpha()).length_squared() / (w.z * w.z);
         ((1.0 + tan2).sqrt() - 1.0) / 2.0
     }
@@ -82,24 +82,50 @@ impl Ggx {
         self.density(m) / (4.0 * o.z * (1.0 + self.lambda(o)))
     }
 
-    /// Share of light from `o` that is reflected at its first facet and leaves, 0 to 1.
+    /// Fraction of light from `o` that is reflected at its first facet and leaves, 0 to 1.
+    ///
+    /// Integrates the loss over the visible normals, at radius √u and azimuth φ of the disc of Heitz
+    /// (2018), in v = −ln(1 − u): ∫(1 − F·G)·e⁻ᵛ dv. The loss at small α is the tail of the slopes, of
+    /// order α², which nodes in u miss. Each azimuth is integrated up to the v at which a facet
+    /// mirrors `o` to the horizon, because the loss rises to 1 there within a range of order α. Steeper
+    /// facets lose all light, e⁻ᵛ. With 16 nodes that are denser towards the horizon and 32 azimuths
+    /// the loss is exact to 1e-4 of itself for α from 0.01 to 0.4.
     pub fn albedo(&self, o: DVec3, fresnel: impl Fn(f64) -> f64) -> f64 {
-        const TURNS: usize = 32;
+        const AZIMUTHS: usize = 32;
+        let nodes = gauss_legendre(16);
         let seen = self.lambda(o);
-        let left = |u: DVec2| {
-            let m = self.seen_facet(o, u);
+        // The cosine of light's angle to the facet, and the mirrored direction.
+        let mirrored = |v: f64, azimuth: f64| {
+            let m = self.seen_facet(o, DVec2::new(-(-v).exp_m1(), azimuth));
             let cosine = o.dot(m).clamp(0.0, 1.0);
-            let i = m * (2.0 * cosine) - o;
+            (cosine, m * (2.0 * cosine) - o)
+        };
+        let lost = |v: f64, azimuth: f64| {
+            let (cosine, i) = mirrored(v, azimuth);
             if i.z <= 0.0 {
-                return 0.0;
+                return 1.0;
             }
-            fresnel(cosine) * (1.0 + seen) / (1.0 + seen + self.lambda(i))
+            1.0 - fresnel(cosine) * (1.0 + seen) / (1.0 + seen + self.lambda(i))
         };
-        let rings = gauss_legendre(24);
-        let ring = |&(x, weight): &(f64, f64)| {
-            let turn = |k: usize| left(DVec2::new(x, (k as f64 + 0.5) / TURNS as f64));
-            weight * (0..TURNS).map(turn).sum::<f64>() / TURNS as f64
+        let loss_at = |azimuth: f64| {
+            // e⁻³⁶ is below the resolution of f64.
+            let (mut low, mut high) = (0.0, 36.0);
+            for _ in 0..24 {
+                let middle = (low + high) / 2.0;
+                match mirrored(middle, azimuth).1.z > 0.0 {
+                    true => low = middle,
+                    false => high = middle,
+                }
+            }
+            let horizon = low;
+            let node = |&(x, weight): &(f64, f64)| {
+                // t = 1 − (1 − x)² of the range.
+                let v = horizon * x * (2.0 - x);
+                weight * 2.0 * (1.0 - x) * horizon * (-v).exp() * lost(v, azimuth)
+            };
+            nodes.iter().map(node).sum::<f64>() + (-horizon).exp()
         };
-        rings.iter().map(ring).sum()
+        let azimuth = |k: usize| (k as f64 + 0.5) / AZIMUTHS as f64;
+        1.0 - (0..AZIMUTHS).map(|k| loss_at(azimuth(k))).sum::<f64>() / AZIMUTHS as f64
     }
 }
