@@ -372,8 +372,13 @@ fn the_command_predicts_and_refuses() {
         one["decision"].as_str().unwrap().to_owned()
     };
     assert_eq!(
-        (all.len(), decision("F"), decision("P_F")),
-        (7, "conforms".into(), "does-not-conform".into())
+        (all.len(), decision("F"), decision("P_F"), decision("P_S")),
+        (
+            7,
+            "conforms".into(),
+            "does-not-conform".into(),
+            "no-limit".into()
+        )
     );
     assert!(
         text.contains("2 seeds are few") && text.contains("no certificate"),

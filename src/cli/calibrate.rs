@@ -54,7 +54,7 @@ fn text(summary: &CalibrationSummary) -> String {
         );
     }
     text + &format!(
-        "\nχ² of all errors {:.1} (expected {} ± {:.1})\n\
+        "\nχ² of all errors {:.1} (expected: mean {}, standard deviation {:.1})\n\
          points of the laser plane: off by {} µm, uncertain by {} µm (rms over the sensor)\n\
          {}\n{}\n",
         summary.chi_squared,

@@ -9,10 +9,8 @@ pub struct Characteristic {
     pub name: &'static str,
     /// As standards write it.
     pub symbol: &'static str,
-    /// Largest permissible value, µm.
-    pub limit_um: f64,
-    /// Whether nobody gave the limit.
-    pub limit_assumed: bool,
+    /// Largest permissible value, µm; `None` if the scene does not state one.
+    pub limit_um: Option<f64>,
     /// One for each place in the measuring volume.
     pub places: Vec<PlaceResult>,
     /// Of the largest magnitude over all places, which the limit is for; `None`: some place gave no
@@ -57,6 +55,8 @@ pub enum Decision {
     DoesNotConform,
     /// Neither: tests would end either way.
     Undecided,
+    /// The scene states no limit, and without one there is no verdict.
+    NoLimit,
     /// Some place gave no value.
     NotMeasured,
 }
@@ -68,16 +68,20 @@ impl Decision {
             Decision::Conforms => "conforms",
             Decision::DoesNotConform => "does not conform",
             Decision::Undecided => "undecided",
+            Decision::NoLimit => "no limit given",
             Decision::NotMeasured => "not measured",
         }
     }
 
-    fn of(largest: Option<&Spread>, limit_um: f64, guard_um: f64) -> Decision {
-        match largest {
-            None => Decision::NotMeasured,
-            Some(spread) if spread.high_um + guard_um <= limit_um => Decision::Conforms,
-            Some(spread) if spread.low_um - guard_um > limit_um => Decision::DoesNotConform,
-            Some(_) => Decision::Undecided,
+    fn of(largest: Option<&Spread>, limit_um: Option<f64>, guard_um: f64) -> Decision {
+        match (largest, limit_um) {
+            (None, _) => Decision::NotMeasured,
+            (_, None) => Decision::NoLimit,
+            (Some(spread), Some(limit)) if spread.high_um + guard_um <= limit => Decision::Conforms,
+            (Some(spread), Some(limit)) if spread.low_um - guard_um > limit => {
+                Decision::DoesNotConform
+            }
+            _ => Decision::Undecided,
         }
     }
 }
@@ -107,10 +111,8 @@ pub struct Named {
     pub name: &'static str,
     /// See [`Characteristic::symbol`].
     pub symbol: &'static str,
-    /// `None`: nobody gave one.
+    /// See [`Characteristic::limit_um`].
     pub limit_um: Option<f64>,
-    /// What is taken then.
-    pub assumed_um: f64,
     /// Guard band on either side of the limit.
     pub guard_um: f64,
 }
@@ -125,13 +127,11 @@ impl Characteristic {
         };
         let largest: Option<Vec<f64>> = (0..seeds).map(largest).collect();
         let largest = largest.and_then(|values| Spread::of(&values));
-        let limit_um = named.limit_um.unwrap_or(named.assumed_um);
         Characteristic {
             name: named.name,
             symbol: named.symbol,
-            limit_um,
-            limit_assumed: named.limit_um.is_none(),
-            decision: Decision::of(largest.as_ref(), limit_um, named.guard_um),
+            limit_um: named.limit_um,
+            decision: Decision::of(largest.as_ref(), named.limit_um, named.guard_um),
             largest,
             places: places
                 .into_iter()
@@ -157,7 +157,6 @@ mod tests {
             name: "n",
             symbol: "s",
             limit_um: Some(limit_um),
-            assumed_um: 1.0,
             guard_um,
         };
         let values = values_um.iter().map(|v| Some(v * 1e-3)).collect();
@@ -180,14 +179,13 @@ mod tests {
             name: "n",
             symbol: "s",
             limit_um: None,
-            assumed_um: 5.0,
             guard_um: 0.0,
         };
         let place = |values: &[Option<f64>]| ("p".to_owned(), values.to_vec());
         let both = [Some(0.001), Some(0.002)];
         let found = Characteristic::of(named, vec![place(&both), place(&[Some(-0.004); 2])]);
         assert_eq!(found.largest.unwrap().mean_um, 4.0);
-        assert_eq!((found.limit_um, found.limit_assumed), (5.0, true));
+        assert_eq!((found.limit_um, found.decision), (None, Decision::NoLimit));
         let found = Characteristic::of(named, vec![place(&both), place(&[None, Some(0.0)])]);
         assert_eq!(found.decision, Decision::NotMeasured);
         assert_eq!(found.places[1].seeds, 1);

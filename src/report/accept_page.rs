@@ -41,11 +41,12 @@ impl AcceptPage<'_> {
             same.count()
         };
         format!(
-            "{} of {} characteristics conform, {} do not, {} are undecided, {} were not measured.",
+            "{} of {} characteristics conform, {} do not, {} are undecided, {} have no limit, {} were not measured.",
             count(Decision::Conforms),
             self.characteristics.len(),
             count(Decision::DoesNotConform),
             count(Decision::Undecided),
+            count(Decision::NoLimit),
             count(Decision::NotMeasured)
         )
     }

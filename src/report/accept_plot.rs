@@ -113,7 +113,7 @@ pub fn characteristic_plot(characteristic: &Characteristic) -> String {
     let highest = spreads().fold(0.0, |most: f64, spread| most.max(spread.high_um));
     // A limit far beyond would leave nothing to see.
     let reach = highest.max(-lowest);
-    let limits = [*limit_um, -limit_um];
+    let limits: Vec<f64> = limit_um.iter().flat_map(|limit| [*limit, -limit]).collect();
     let shown = |limit: &&f64| limit.abs() <= 3.0 * reach && (**limit > 0.0 || lowest < 0.0);
     let (mut low, mut high) = (lowest, highest);
     for limit in limits.iter().filter(shown) {

@@ -318,13 +318,10 @@ impl Acceptance {
     /// From what each place gave for each seed.
     fn of_values(&self, by_place: &[Vec<Measured>]) -> Vec<Characteristic> {
         let limits = &self.limits;
-        let range = self.volume.range_mm;
-        let assumed = range[1] - range[0];
         let named = |name, symbol, limit_um| Named {
             name,
             symbol,
             limit_um,
-            assumed_um: assumed,
             guard_um: self.artefacts.artefact_um,
         };
         let of = |named: Named, artefact, value: &dyn Fn(&Measured) -> Option<f64>| {
@@ -356,7 +353,6 @@ impl Acceptance {
         let linearity = named("indicated minus true height", "Linearity", limits.linearity);
         let name = "standard deviation of a height";
         let repeatability = Named {
-            assumed_um: assumed / 10.0,
             // No artefact's value is in it.
             guard_um: 0.0,
             ..named(name, "Z repeatability", limits.z_repeatability)
@@ -376,7 +372,8 @@ impl Acceptance {
         format!(
             "ISO 14253-1: the largest magnitude over all places, in the interval of 95 % of the seeds, conforms if its upper end \
              and {} µm, the expanded uncertainty of the artefacts, are within the limit; it does not if its lower end less that is \
-             beyond; else it is undecided. Repeatability has no guard band.",
+             beyond; else it is undecided. Repeatability has no guard band. \
+             Without a limit in accept.limits_um there is no verdict.",
             self.artefacts.artefact_um
         )
     }
@@ -511,15 +508,12 @@ impl AcceptSummary {
                 Some(s) => format!("{:>12.3} {:>10.3} {:>10.3}", s.mean_um, s.low_um, s.high_um),
                 None => format!("{:>12} {:>10} {:>10}", "–", "–", "–"),
             };
-            let assumed = if c.limit_assumed {
-                " (limit assumed)"
-            } else {
-                ""
-            };
+            let limit = c
+                .limit_um
+                .map_or("–".to_owned(), |limit| format!("{limit:.3}"));
             text += &format!(
-                "{:<18} {found} {:>10.3}  {}{assumed}\n",
+                "{:<18} {found} {limit:>10}  {}\n",
                 c.symbol,
-                c.limit_um,
                 c.decision.words()
             );
         }
