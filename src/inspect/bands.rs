@@ -7,9 +7,11 @@
 //! and at most 5 of 100 fail whose true one lies within, however narrow the band.
 
 use super::cloud::CloudPoint;
+use super::coverage::{Fate, SurfaceCoverage};
 use crate::math::{Aabb, DVec3};
 use crate::profile::Flags;
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// Standard uncertainties by which a deviation must lie within its band to pass, or outside to fail.
 pub const GUARD: f64 = 2.0;
@@ -49,21 +51,38 @@ impl Verdict {
     }
 }
 
-/// How the points of a region lie in their band.
+/// How the points and the area of a region lie in their band. A region has no verdict: one noisy
+/// point in thousands would decide it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RegionVerdict {
     /// The region's name.
     pub name: String,
     /// Lower and upper limit of the deviation, µm.
     pub limits_um: [f64; 2],
-    /// `Fail` if a point fails; `Pass` if there are points and all pass; else `Unsure`.
-    pub verdict: Verdict,
+    /// Fractions of the area; `None` if no area of the region has a point without a flag.
+    pub area: Option<AreaFractions>,
     /// Points that pass.
     pub pass: usize,
     /// Points that fail.
     pub fail: usize,
     /// Points of which neither is sure.
     pub unsure: usize,
+}
+
+/// Fractions of the CAD area by the interval of the deviation, d ± [`GUARD`] standard uncertainties, of
+/// the nearest point without a flag. The first three sum to 1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AreaFractions {
+    /// The interval is within the limits.
+    pub within: f64,
+    /// The interval is outside the limits.
+    pub beyond: f64,
+    /// The interval contains a limit.
+    pub across: f64,
+    /// Area that these fractions refer to, mm².
+    pub judged_mm2: f64,
+    /// Area of the region, mm²; the rest has no point without a flag.
+    pub area_mm2: f64,
 }
 
 impl Band {
@@ -90,17 +109,23 @@ pub fn judge(bands: &[Band], point: &CloudPoint) -> Option<(usize, Verdict)> {
     if !point.is_valid() {
         return None;
     }
-    let foot = point.position - point.deviation * point.normal.as_dvec3();
+    let region = region_of(bands, on_cad(point))?;
+    Some((region, bands[region].verdict(point)))
+}
+
+/// The position on the CAD that a point belongs to.
+fn on_cad(point: &CloudPoint) -> DVec3 {
+    point.position - point.deviation * point.normal.as_dvec3()
+}
+
+/// The smallest region that contains a position on the CAD.
+fn region_of(bands: &[Band], position: DVec3) -> Option<usize> {
     let volume = |band: &Band| {
         band.within
             .map_or(f64::INFINITY, |b| b.size().element_product())
     };
-    let holding = bands
-        .iter()
-        .enumerate()
-        .filter(|(_, band)| holds(band, foot));
-    let (i, band) = holding.min_by(|(_, a), (_, b)| volume(a).total_cmp(&volume(b)))?;
-    Some((i, band.verdict(point)))
+    let holding = (0..bands.len()).filter(|&i| holds(&bands[i], position));
+    holding.min_by(|&a, &b| volume(&bands[a]).total_cmp(&volume(&bands[b])))
 }
 
 fn holds(band: &Band, place: DVec3) -> bool {
@@ -108,14 +133,18 @@ fn holds(band: &Band, place: DVec3) -> bool {
         .is_none_or(|inside| inside.min.cmple(place).all() && place.cmple(inside.max).all())
 }
 
-/// What is said of each region.
-pub fn sum_up(bands: &[Band], points: &[CloudPoint]) -> Vec<RegionVerdict> {
+/// Counts the points of each region, and divides its area on the CAD.
+pub fn sum_up(
+    bands: &[Band],
+    points: &[CloudPoint],
+    coverage: Option<&SurfaceCoverage>,
+) -> Vec<RegionVerdict> {
     let mut regions: Vec<RegionVerdict> = bands
         .iter()
         .map(|band| RegionVerdict {
             name: band.name.clone(),
             limits_um: band.limits.map(|limit| limit * 1e3),
-            verdict: Verdict::Unsure,
+            area: None,
             pass: 0,
             fail: 0,
             unsure: 0,
@@ -128,37 +157,119 @@ pub fn sum_up(bands: &[Band], points: &[CloudPoint]) -> Vec<RegionVerdict> {
             Verdict::Unsure => regions[i].unsure += 1,
         }
     }
-    for region in &mut regions {
-        region.verdict = match (region.pass, region.fail, region.unsure) {
-            (_, 1.., _) => Verdict::Fail,
-            (1.., 0, 0) => Verdict::Pass,
-            _ => Verdict::Unsure,
-        };
+    let areas = coverage.map(|coverage| areas(bands, points, coverage));
+    for (region, area) in regions.iter_mut().zip(areas.into_iter().flatten()) {
+        region.area = area;
     }
     regions
 }
 
-/// How many regions pass, fail and are unsure, and which fail.
+/// Distance over which a point represents the surface, in mean distances of points: frames are often
+/// further apart than the columns of one.
+const REPRESENTED: f64 = 4.0;
+
+/// Fractions of the area of each region. The samples of the coverage represent equal areas, and each
+/// has the verdict of the nearest point without a flag.
+fn areas(
+    bands: &[Band],
+    points: &[CloudPoint],
+    coverage: &SurfaceCoverage,
+) -> Vec<Option<AreaFractions>> {
+    let mut samples = vec![0usize; bands.len()];
+    let mut measured: Vec<(DVec3, usize)> = Vec::new();
+    for &(position, fate) in &coverage.places {
+        let Some(region) = region_of(bands, position) else {
+            continue;
+        };
+        samples[region] += 1;
+        if fate == Fate::Measured {
+            measured.push((position, region));
+        }
+    }
+    let nearest = nearest_points(&measured, points, coverage.points_per_mm2);
+    let mut verdicts = vec![[0usize; 3]; bands.len()];
+    for (&(_, region), point) in measured.iter().zip(nearest) {
+        if let Some(point) = point {
+            verdicts[region][bands[region].verdict(point) as usize] += 1;
+        }
+    }
+    let mm2 = coverage.area_mm2 / coverage.places.len().max(1) as f64;
+    let fractions = |(verdicts, samples): ([usize; 3], usize)| {
+        let judged = verdicts.iter().sum::<usize>();
+        let fraction = |verdict: Verdict| verdicts[verdict as usize] as f64 / judged as f64;
+        (judged > 0).then(|| AreaFractions {
+            within: fraction(Verdict::Pass),
+            beyond: fraction(Verdict::Fail),
+            across: fraction(Verdict::Unsure),
+            judged_mm2: mm2 * judged as f64,
+            area_mm2: mm2 * samples as f64,
+        })
+    };
+    verdicts.into_iter().zip(samples).map(fractions).collect()
+}
+
+/// The nearest point without a flag to each position on the CAD; `None` if all are further than
+/// [`REPRESENTED`] mean distances of points.
+fn nearest_points<'a>(
+    positions: &[(DVec3, usize)],
+    points: &'a [CloudPoint],
+    points_per_mm2: Option<f64>,
+) -> Vec<Option<&'a CloudPoint>> {
+    let mut nearest = vec![(f64::INFINITY, None); positions.len()];
+    let Some(density) = points_per_mm2.filter(|density| *density > 0.0) else {
+        return vec![None; positions.len()];
+    };
+    let radius = REPRESENTED / density.sqrt();
+    // Cells as wide as the radius: a point's neighbours are in its cell and in the 26 around.
+    let cell = |p: DVec3| (p / radius).floor().as_i64vec3();
+    let mut cells: HashMap<[i64; 3], Vec<usize>> = HashMap::new();
+    for (i, (position, _)) in positions.iter().enumerate() {
+        let at = cell(*position);
+        for k in 0..27 {
+            let by = glam::I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1);
+            cells.entry((at + by).to_array()).or_default().push(i);
+        }
+    }
+    for point in points.iter().filter(|point| point.flags.is_empty()) {
+        let on_cad = on_cad(point);
+        for &i in cells.get(&cell(on_cad).to_array()).into_iter().flatten() {
+            let distance = positions[i].0.distance(on_cad);
+            if distance < nearest[i].0 && distance <= radius {
+                nearest[i] = (distance, Some(point));
+            }
+        }
+    }
+    nearest.into_iter().map(|(_, point)| point).collect()
+}
+
+/// Regions that a text lists.
+const LISTED: usize = 4;
+
+/// The area of each region within, beyond and across its limits. A long list is cut to the regions
+/// that have most area beyond.
 pub fn in_words(regions: &[RegionVerdict]) -> String {
-    let of = |verdict| {
-        regions
-            .iter()
-            .filter(move |region| region.verdict == verdict)
+    let mut sorted: Vec<&RegionVerdict> = regions.iter().collect();
+    if sorted.len() > LISTED {
+        let beyond = |region: &RegionVerdict| region.area.map_or(-1.0, |area| area.beyond);
+        sorted.sort_by(|a, b| beyond(b).total_cmp(&beyond(a)));
+    }
+    let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
+    let region = |region: &&RegionVerdict| match region.area {
+        None => format!("{} has no measured area", region.name),
+        Some(area) => format!(
+            "{} of the measured area of {} is within its limits, {} beyond, {} across",
+            percent(area.within),
+            region.name,
+            percent(area.beyond),
+            percent(area.across)
+        ),
     };
-    let names: Vec<&str> = of(Verdict::Fail)
-        .map(|region| region.name.as_str())
-        .collect();
-    let failing = match names.is_empty() {
-        true => String::new(),
-        false => format!(" ({})", names.join(", ")),
+    let listed: Vec<String> = sorted.iter().take(LISTED).map(region).collect();
+    let more = match sorted.len().saturating_sub(LISTED) {
+        0 => String::new(),
+        more => format!("; {more} more regions"),
     };
-    format!(
-        "of {} regions {} pass, {} are unsure, {} fail{failing}",
-        regions.len(),
-        of(Verdict::Pass).count(),
-        of(Verdict::Unsure).count(),
-        names.len(),
-    )
+    listed.join("; ") + &more
 }
 
 #[cfg(test)]
@@ -237,7 +348,7 @@ mod tests {
                 point(0.0, mean + sigma * normal, sigma)
             };
             let points: Vec<CloudPoint> = (0..n as u64).map(draw).collect();
-            let found = &sum_up(&bands, &points)[0];
+            let found = &sum_up(&bands, &points, None)[0];
             let at = |limit: f64| normal((limit - mean) / sigma);
             let pass = at(upper - 2.0 * sigma) - at(lower + 2.0 * sigma);
             let fail = at(lower - 2.0 * sigma) + 1.0 - at(upper + 2.0 * sigma);
@@ -265,10 +376,63 @@ mod tests {
         let points = [&points[..], &[point(2.5, 5.0, 0.01)]].concat();
         let regions = points.iter().map(|p| judge(&bands, p).unwrap().0);
         assert!(regions.eq([0, 1, 2, 1, 2]));
-        let found = sum_up(&bands, &points);
-        let verdicts = found.iter().map(|region| region.verdict);
-        assert!(verdicts.eq([Verdict::Pass, Verdict::Pass, Verdict::Fail, Verdict::Unsure]));
-        assert_eq!(found[2].fail, 2);
+        let found = sum_up(&bands, &points, None);
+        let counts = found
+            .iter()
+            .map(|region| [region.pass, region.fail, region.unsure]);
+        assert!(counts.eq([[1, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 0]]));
         assert_eq!(judge(&bands[1..], &point(-1.0, 0.0, 0.01)), None);
+    }
+
+    /// 40 × 10 mm in 4000 samples, measured by 100 points per mm² where x < 20 and by 1 where it is
+    /// not. The deviation exceeds the limit where x > 30, a quarter of the area and 1 % of the points.
+    /// One point in a hundred is flagged and far beyond. An interval is across where the deviation is
+    /// within two uncertainties of the limit: none. Positions at the border between both areas
+    /// may have the verdict of the other: the distance of points there, 1 mm of 40.
+    #[test]
+    fn fractions_are_of_area_and_not_of_points() {
+        for seed in [1, 2, 3] {
+            let key = Key::new(seed, Purpose::Samples);
+            let at = |i: u64, x: f64| {
+                let deviation = if x > 30.0 {
+                    0.1
+                } else {
+                    0.001 * key.uniform(3 * i + 1)
+                };
+                let mut point = point(x, deviation, 0.005);
+                point.position.y = 10.0 * key.uniform(3 * i);
+                if i % 100 == 0 {
+                    (point.flags, point.deviation) = (Flags::SATURATED, 5.0);
+                }
+                point
+            };
+            let dense = (0..20_000).map(|i| at(i, 20.0 * key.uniform(3 * i + 2)));
+            let sparse = (20_000..20_200).map(|i| at(i, 20.0 + 20.0 * key.uniform(3 * i + 2)));
+            let points: Vec<CloudPoint> = dense.chain(sparse).collect();
+            let sample = |i: usize| {
+                let (x, y) = (i % 400, i / 400);
+                (
+                    DVec3::new((x as f64 + 0.5) / 10.0, y as f64 + 0.5, 0.0),
+                    Fate::Measured,
+                )
+            };
+            let coverage = SurfaceCoverage {
+                area_mm2: 400.0,
+                shares: Vec::new(),
+                // As of the sparse half: that of the mean would leave positions without a point.
+                points_per_mm2: Some(1.0),
+                samples: 4000,
+                places: (0..4000).map(sample).collect(),
+            };
+            let bands = [band("all", None, [-0.02, 0.02])];
+            let found = sum_up(&bands, &points, Some(&coverage))[0].area.unwrap();
+            assert!((found.beyond - 0.25).abs() < 0.025, "{seed}: {found:?}");
+            assert!((found.within - 0.75).abs() < 0.025, "{seed}: {found:?}");
+            assert_eq!(found.across, 0.0);
+            assert!((found.area_mm2 - 400.0).abs() < 1e-9 && found.judged_mm2 > 390.0);
+            let wide = [band("all", None, [-10.0, 10.0])];
+            let found = sum_up(&wide, &points, Some(&coverage))[0].area.unwrap();
+            assert_eq!(found.within, 1.0);
+        }
     }
 }

@@ -5,7 +5,7 @@ use super::chart::share_bar;
 use super::color::Rgb;
 use super::svg::Svg;
 use super::viewer::Viewer;
-use crate::inspect::bands::{RegionVerdict, Verdict};
+use crate::inspect::bands::{AreaFractions, RegionVerdict, Verdict};
 use crate::inspect::coverage::{Fate, SurfaceCoverage};
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::flags::FlagCount;
@@ -95,7 +95,7 @@ impl Report {
 }
 
 mod filters {
-    use super::{Fate, Verdict, explained, of_fate, of_verdict};
+    use super::{Fate, explained, of_fate};
     use crate::report::{chart, color, picture};
     use askama::{Result, Values, filter_fn};
 
@@ -115,17 +115,8 @@ mod filters {
     }
 
     #[filter_fn]
-    pub fn verdict_colour(verdict: &Verdict, _: &dyn Values) -> Result<String> {
-        Ok(color::css(of_verdict(Some(*verdict))))
-    }
-
-    #[filter_fn]
-    pub fn verdict_name(verdict: &Verdict, _: &dyn Values) -> Result<&'static str> {
-        Ok(match verdict {
-            Verdict::Pass => "pass",
-            Verdict::Fail => "fail",
-            Verdict::Unsure => "unsure",
-        })
+    pub fn percent(fraction: &f64, _: &dyn Values) -> Result<String> {
+        Ok(format!("{:.1} %", 100.0 * fraction))
     }
 
     #[filter_fn]
@@ -160,16 +151,15 @@ pub fn of_verdict(verdict: Option<Verdict>) -> Rgb {
     }
 }
 
-/// A bar of how a region's points lie.
-fn verdict_bar(region: &RegionVerdict) -> String {
-    let all = (region.pass + region.fail + region.unsure).max(1) as f64;
+/// A bar of the fractions of a region's area.
+fn area_bar(name: &str, area: &AreaFractions) -> String {
     let parts = [
-        ("pass", region.pass, Verdict::Pass),
-        ("unsure", region.unsure, Verdict::Unsure),
-        ("fail", region.fail, Verdict::Fail),
+        ("within", area.within, Verdict::Pass),
+        ("across", area.across, Verdict::Unsure),
+        ("beyond", area.beyond, Verdict::Fail),
     ];
-    let parts = parts.map(|(name, n, verdict)| (name, n as f64 / all, of_verdict(Some(verdict))));
-    share_bar(&format!("points of {}", region.name), &parts)
+    let parts = parts.map(|(name, part, verdict)| (name, part, of_verdict(Some(verdict))));
+    share_bar(&format!("area of {name}"), &parts)
 }
 
 /// What a fate is called, and what it means.

@@ -38,6 +38,9 @@ const MOST_TRIANGLES: usize = 40_000;
 /// Longer side of the pictures of the part, px.
 const PICTURE_SIZE: usize = 900;
 
+/// Verdicts in the order by which a picture takes their median.
+const ORDERED: [Verdict; 3] = [Verdict::Pass, Verdict::Unsure, Verdict::Fail];
+
 const TOLERANCE: &str = "Blue: pass. Red: fail. Yellow: unsure. Grey: flagged, or of no region.";
 
 const FLAGGED: Rgb = [200, 0, 120];
@@ -112,11 +115,11 @@ impl Shown<'_> {
             1 => part,
             copies => format!("{copies} copies of {part}"),
         };
-        let step = |pair: &[HeadPose]| {
-            let [from, to] = [pair[0], pair[1]].map(|pose| pose.part_from_laser.translation);
-            from.distance(to)
+        let (travel, passes) = travel(self.poses);
+        let passes = match passes {
+            1 => String::new(),
+            passes => format!(" in {passes} passes"),
         };
-        let way: f64 = self.poses.windows(2).map(step).sum();
         vec![
             ("scene", scene.path.display().to_string()),
             ("part", format!("{part}; {x} × {y} × {z} mm")),
@@ -127,7 +130,11 @@ impl Shown<'_> {
             ("stand-off and angle", self.stand_off()),
             (
                 "frames",
-                format!("{}, the laser moves {} mm", self.frames.len(), short(way)),
+                format!(
+                    "{}, the laser moves {} mm{passes}",
+                    self.frames.len(),
+                    short(travel)
+                ),
             ),
             (
                 "sensor columns with a point",
@@ -198,10 +205,10 @@ impl Shown<'_> {
             color_bar(-limits.deviation_um, limits.deviation_um, "µm", &|d| {
                 diverging(d, limits.deviation_um)
             }),
-            "Red: outside the material. Blue: inside. Valid points only.",
+            "Red: outside the material. Blue: inside. Median of the valid points in each pixel.",
             &views,
-            &|p| diverging(p.deviation * 1e3, limits.deviation_um),
-            &|p| p.is_valid(),
+            &|p| p.is_valid().then_some(p.deviation * 1e3),
+            &|um| diverging(um, limits.deviation_um),
         )];
         control.check()?;
         maps.push(self.map(
@@ -210,10 +217,10 @@ impl Shown<'_> {
                 sequential(s, limits.sigma_um)
             }),
             "Predicted for each point from speckle, noise and calibration; not stated for \
-             those flagged outside. Valid points only.",
+             those flagged outside. Median of the valid points in each pixel.",
             &views[..2],
-            &|p| sequential(p.deviation_sigma * 1e3, limits.sigma_um),
-            &|p| p.is_valid(),
+            &|p| p.is_valid().then_some(p.deviation_sigma * 1e3),
+            &|um| sequential(um, limits.sigma_um),
         ));
         control.check()?;
         if let Some(coverage) = &self.summary.coverage {
@@ -238,8 +245,12 @@ impl Shown<'_> {
                 String::new(),
                 TOLERANCE,
                 &views,
-                &|p| of_verdict(self.verdict(p)),
-                &|p| self.verdict(p).is_some(),
+                &|p| {
+                    let verdict = self.verdict(p)?;
+                    let order = ORDERED.iter().position(|&other| other == verdict)?;
+                    Some(order as f64)
+                },
+                &|median| of_verdict(Some(ORDERED[(median.round() as usize).min(2)])),
             ));
             control.check()?;
         }
@@ -269,8 +280,8 @@ impl Shown<'_> {
             regions => format!(" Tolerance: {}.", in_words(regions)),
         };
         format!(
-            "{} of {} points are valid. Their deviation from the CAD is {} ± {} µm (mean and \
-             standard deviation); 98 % of them are between {} and {} µm.{tolerance}{warnings}",
+            "{} of {} points are valid. Their deviation from the CAD has a mean of {} µm and a \
+             standard deviation of {} µm; 98 % of them are between {} and {} µm.{tolerance}{warnings}",
             d.points,
             self.points.len(),
             short(d.mean_um),
@@ -286,13 +297,16 @@ impl Shown<'_> {
         bar: String,
         legend: &'static str,
         views: &[(&'static str, ParallelView)],
-        color: &dyn Fn(&CloudPoint) -> Rgb,
-        shown: &dyn Fn(&CloudPoint) -> bool,
+        value: &dyn Fn(&CloudPoint) -> Option<f64>,
+        color: &dyn Fn(f64) -> Rgb,
     ) -> ColorMap {
         let views = views.iter().map(|&(caption, view)| {
-            let points = self.points.iter().filter(|p| shown(p));
-            let points = points.map(|p| (p.position, color(p)));
-            let picture = part_picture(&self.simulation.accel, points, view, PICTURE_SIZE);
+            // At its position on the CAD, so that its error does not move a point to another pixel.
+            let points = self.points.iter().filter_map(|p| {
+                let on_cad = p.position - p.deviation * p.normal.as_dvec3();
+                Some((on_cad, value(p)? as f32))
+            });
+            let picture = part_picture(&self.simulation.accel, points, color, view, PICTURE_SIZE);
             (caption, picture.png)
         });
         ColorMap {
@@ -448,6 +462,26 @@ fn material(scene: &Scene) -> String {
 /// The exposure time.
 fn exposure(camera: &Camera) -> String {
     format!("{} ms", short(given(camera.sensor.exposure_ms)))
+}
+
+/// A step between frames of more than this many median steps is a jump between passes.
+const JUMP: f64 = 5.0;
+
+/// Distance that the laser moves over the part within passes, mm, and the number of passes.
+fn travel(poses: &[HeadPose]) -> (f64, usize) {
+    let step = |pair: &[HeadPose]| {
+        let [from, to] = [pair[0], pair[1]].map(|pose| pose.part_from_laser.translation);
+        from.distance(to)
+    };
+    let steps: Vec<f64> = poses.windows(2).map(step).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let longest = JUMP * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    // A head that rests in most frames has no typical step.
+    let jump = |step: &&f64| longest > 0.0 && **step > longest;
+    let jumps = steps.iter().filter(jump);
+    let (jumped, count) = jumps.fold((0.0, 0), |(sum, n), step| (sum + step, n + 1));
+    (steps.iter().sum::<f64>() - jumped, count + 1)
 }
 
 /// A number of the scene, without the digits that conversion of its unit adds.

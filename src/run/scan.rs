@@ -327,6 +327,7 @@ fn judge(
     let Foreseen { warnings, .. } = warnings::foreseen_of(simulation, frames.clone());
     summary.warnings = warnings::found(&points, frames.len(), &warnings);
     summary.alignment = alignment;
+    summary.tolerance = sum_up(&scene.bands, &points, coverage.as_ref());
     summary.accuracy = simulation.plan.accuracy.clone();
     summary.coverage = coverage;
     summary.blurred_share = blurred_share;
@@ -453,7 +454,7 @@ fn summary(
         uncertainty: UncertaintyStatistics::of(points),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
-        tolerance: sum_up(&scene.bands, points),
+        tolerance: Vec::new(),
         alignment: None,
         accuracy: None,
         coverage: None,
