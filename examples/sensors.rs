@@ -22,7 +22,7 @@ found and as stated of each point from optics and image alone:
 - *n_c*: columns within which errors are alike. Means over 100 columns fall as √(n_c/100), over 10 profiles of different places as √(1/10).
 - *linearity*: indicated less true height, mean over all columns and 20 places, ± two standard uncertainties. The sensor is calibrated exactly: what is
   left is the finder's and the optics' own.
-- *edge*: from 10 to 90 % of a step along the line that is low beside the line's width, without speckle and noise.
+- *edge*: distance from 10 to 90 % of a step along the line that is low compared with the line's width, without speckle and noise; mean over 16 positions of the step within a column.
 
 A maker's sheet prints the first of these, often of a mean over many points or profiles; points of a part that moves scatter by the second.
 ";

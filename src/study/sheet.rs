@@ -79,7 +79,8 @@ pub struct SheetPlace {
     pub mean_of_profiles: Option<Figure>,
     /// Indicated less true height, mean over all columns and places, and its standard uncertainty.
     pub linearity_um: Option<[f64; 2]>,
-    /// From 10 to 90 % of a low step along the beam's plane, without speckle and noise.
+    /// Distance along the profile from 10 to 90 % of a low step, whose points straight lines join, without
+    /// speckle and noise; mean over positions of the step within a column.
     pub edge_10_90_um: Option<f64>,
 }
 
@@ -275,7 +276,9 @@ impl Target<'_> {
         })
     }
 
-    /// Width of the response to a low step across the line, as the step passes the columns. `simulation` is of the plane.
+    /// Width of the response to a low step across the line: mean over [`EDGES`] positions of the step
+    /// within a column, because the response in single profiles depends on the position.
+    /// `simulation` is of the plane.
     fn edge(&self, simulation: &Simulation, control: &Control) -> Result<Option<f64>> {
         let sensor = Heights::of(simulation);
         let [column, row] = self.um_per_px.map(|um| 1e-3 * um);
@@ -290,25 +293,38 @@ impl Target<'_> {
         scene.camera.sensor.exposure_ms = simulation.scene.camera.sensor.exposure_ms;
         scene.auto_exposure = None;
         let edges = Simulation::watched(&scene, control)?;
-        let mut response = Vec::new();
+        // Low for x < 0.
+        let share = |z: f64| (self.distance + step - z) / step;
+        let mut widths = Vec::new();
         for frame in 0..EDGES {
             control.check()?;
             let at = (f64::from(frame) - f64::from(EDGES - 1) / 2.0) * by.x;
             let points = sensor.all_points(&edges, &edges.image(frame));
-            response.extend(points.iter().map(|p| (p.x - at, p.z)));
+            let response = points.iter().map(|p| (p.x - at, share(p.z)));
+            let mut response: Vec<(f64, f64)> = response
+                .filter(|(x, _)| x.abs() < BESIDE_EDGE * column)
+                .collect();
+            response.sort_by(|a, b| a.0.total_cmp(&b.0));
+            widths.extend(rise(&response));
         }
-        response.retain(|(x, _)| x.abs() < BESIDE_EDGE * column);
-        response.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Low for x < 0.
-        let share = |z: f64| (self.distance + step - z) / step;
-        let at = |level: f64| {
-            let after = response.iter().position(|&(_, z)| share(z) >= level)?;
-            let [a, b] = [after.checked_sub(1)?, after].map(|i| response[i]);
-            let [low, high] = [share(a.1), share(b.1)];
-            Some(a.0 + (b.0 - a.0) * (level - low) / (high - low))
-        };
-        Ok(at(0.1).zip(at(0.9)).map(|(low, high)| 1e3 * (high - low)))
+        // A mean over part of the positions would depend on them.
+        let all = widths.len() == EDGES as usize;
+        Ok(all.then(|| 1e3 * widths.iter().sum::<f64>() / widths.len() as f64))
     }
+}
+
+/// Distance from 10 to 90 % of a step from 0 to 1 near x = 0, of points (x, height) in order of x
+/// that straight lines join. `None` if the points do not reach either level.
+fn rise(response: &[(f64, f64)]) -> Option<f64> {
+    let crossings =
+        (1..response.len()).filter(|&i| response[i - 1].1 < 0.5 && response[i].1 >= 0.5);
+    let middle = crossings.min_by(|&a, &b| response[a].0.abs().total_cmp(&response[b].0.abs()))?;
+    let before = (0..middle).rev().find(|&i| response[i].1 <= 0.1)?;
+    let after = (middle..response.len()).find(|&i| response[i].1 >= 0.9)?;
+    let between =
+        |a: (f64, f64), b: (f64, f64), level: f64| a.0 + (b.0 - a.0) * (level - a.1) / (b.1 - a.1);
+    let low = between(response[before], response[before + 1], 0.1);
+    Some(between(response[after - 1], response[after], 0.9) - low)
 }
 
 /// A point in the laser's frame, mm.
@@ -520,5 +536,50 @@ impl SheetSummary {
             edge_um: place.edge_10_90_um,
         };
         self.places.iter().map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::{Key, Purpose};
+
+    /// Heights at columns of width 1 of a step at `x`, integrated over `width`.
+    fn ramp(x: f64, width: f64, noise: &dyn Fn(i32) -> f64) -> Vec<(f64, f64)> {
+        let height = |column: f64| ((column - x) / width + 0.5).clamp(0.0, 1.0);
+        let point = |i: i32| (f64::from(i) - x, height(f64::from(i)) + noise(i));
+        (-12..=12).map(point).collect()
+    }
+
+    /// An ideal step is 0.8 columns wide wherever it is. A step that is integrated over `w` columns is
+    /// 0.8·w wide. Straight lines between columns move each end outwards by less than half a column.
+    #[test]
+    fn the_width_of_a_step_does_not_depend_on_its_position() {
+        for seed in [1, 2, 3] {
+            let key = Key::new(seed, Purpose::Samples);
+            let noise = |i: i32| 0.02 * (key.uniform((i + 20) as u64) - 0.5);
+            let mean = |width: f64, shift: f64| {
+                let at = |k: u32| (f64::from(k) + 0.5) / f64::from(EDGES) - 0.5 + shift;
+                let widths = (0..EDGES).map(|k| rise(&ramp(at(k), width, &noise)).unwrap());
+                widths.sum::<f64>() / f64::from(EDGES)
+            };
+            let shift = key.uniform(100) / f64::from(EDGES);
+            // The noise of two points of a rise of 1: 0.02.
+            assert!(
+                (mean(1e-9, shift) - 0.8).abs() < 0.03,
+                "{}",
+                mean(1e-9, shift)
+            );
+            for width in [1.0, 2.0, 4.0] {
+                let found = mean(width, shift);
+                assert!(
+                    (0.8 * width - 0.05..0.8 * width + 1.0).contains(&found),
+                    "{width} {found}"
+                );
+                assert!((found - mean(width, 0.0)).abs() < 0.05, "{width} {found}");
+            }
+        }
+        assert_eq!(rise(&[(-1.0, 0.0), (0.0, 0.6), (1.0, 0.7)]), None);
+        assert_eq!(rise(&[]), None);
     }
 }
