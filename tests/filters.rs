@@ -216,6 +216,14 @@ fn filters_that_cannot_be_are_refused() {
             "measure.resample_um: found 0.1, expected a quarter of the distance of two columns or more, 2.500 µm",
         ),
         (
+            "threshold_dn = 0\n",
+            "measure.threshold_dn: found 0, expected a number of counts > 0 and below 4000",
+        ),
+        (
+            "threshold_dn = 4000\n",
+            "measure.threshold_dn: found 4000, expected a number of counts > 0 and below 4000",
+        ),
+        (
             "outlier_um = -1\n",
             "measure.outlier_um: found -1, expected a finite number > 0",
         ),
@@ -229,6 +237,21 @@ fn filters_that_cannot_be_are_refused() {
         assert_eq!(code, 65, "{stderr}");
         assert!(stderr.contains(words), "{measure}: {stderr}");
     }
+}
+
+/// The detection threshold of the scene decides which lines are found: the higher it is the fewer
+/// points there are, and none lies below it.
+#[test]
+fn a_threshold_decides_which_lines_are_found() {
+    let counts = [
+        "",
+        "threshold_dn = 100\n",
+        "threshold_dn = 400\n",
+        "threshold_dn = 3500\n",
+    ];
+    let counts = counts.map(|measure| scanned(measure).len());
+    assert!(counts[0] > counts[1] && counts[1] > counts[2], "{counts:?}");
+    assert!(counts[2] > 100 && counts[3] < 100, "{counts:?}");
 }
 
 const SENSOR: &str = "[data_sheet]\nstand_off_mm = 60\nmeasuring_range_mm = 16\nfield_near_mm = 9\nfield_far_mm = 11\n\
@@ -250,6 +273,15 @@ fn a_sensor_is_measured_over_its_range() {
     let sheet: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     let places = sheet["places"].as_array().unwrap();
     assert_eq!(places.len(), 9);
+    // In columns: the resolution does not jump over the range.
+    let edge = |place: &serde_json::Value| {
+        place["edge_10_90_um"].as_f64().unwrap() / place["um_per_px"][0].as_f64().unwrap()
+    };
+    let edges: Vec<f64> = places.iter().map(edge).collect();
+    println!("{edges:?}");
+    for pair in edges.windows(2) {
+        assert!((pair[1] / pair[0] - 1.0).abs() < 0.25, "{edges:?}");
+    }
     for place in places {
         let ratio = |key: &str| {
             let figure = &place[key];

@@ -6,7 +6,7 @@ use lasertrace::profile::{
     Choice, FALSE_PEAKS_PER_FRAME, Flags, Peak, PeakFinder, PeakSettings, find_peaks,
 };
 use lasertrace::study::{Channel, GreyImage, LineAlong, parse_image};
-use rand_distr::{Distribution, Normal};
+use rand_distr::{Distribution, Exp1, Normal};
 use std::f64::consts::{PI, SQRT_2};
 use std::path::Path;
 
@@ -198,8 +198,8 @@ fn a_gaussian_fit_reaches_the_cramer_rao_bound() {
 #[test]
 fn noise_alone_is_hardly_ever_a_line() {
     assert_eq!(FALSE_PEAKS_PER_FRAME, 1e-3);
-    for black in [0.0, 0.3, 100.0] {
-        let normal = Normal::new(black, 2.3).unwrap();
+    for (black, noise) in [(0.0, 2.3), (0.3, 2.3), (100.0, 2.3), (100.0, 23.0)] {
+        let normal = Normal::new(black, noise).unwrap();
         let mut found = 0;
         for frame in 0..400 {
             let mut stream = Key::new(6, Purpose::SensorNoise).with(frame).stream();
@@ -210,6 +210,93 @@ fn noise_alone_is_hardly_ever_a_line() {
         }
         assert!(found <= 6, "{found} false peaks at black level {black}");
     }
+}
+
+/// Rows on which a Gaussian line of standard deviation `sigma` exceeds six standard deviations of
+/// the noise.
+fn covered(height: f64, noise: f64, sigma: f64) -> f64 {
+    2.0 * sigma * (2.0 * (height / (6.0 * noise)).ln()).sqrt()
+}
+
+/// Lines that cover up to half of the rows, with independent speckle in each pixel or without, on
+/// black levels that cut the noise or do not: 99 of 100 columns have a line, and 95 with speckle, whose
+/// dark pixels may leave no six bright rows in turn. White noise
+/// moves a centroid over 8σ rows by noise·√(∫x²)/(√(2π)·σ·height), ∫x² = 2·(4σ)³/3: 2.6·√σ times the
+/// ratio of noise to height. The row is within five of these, and 0.05 px for rounding and pixels
+/// that the window cuts. The noise is that of the dark rows or, as the tails of such a line reach
+/// over most of them, up to five times as large.
+#[test]
+fn a_line_may_cover_half_of_the_rows() {
+    for seed in [11, 12, 13] {
+        let key = Key::new(seed, Purpose::SensorNoise);
+        for (rows, black, noise, height) in [
+            (48, 0.0, 0.68, 800.0),
+            (48, 0.0, 0.3, 800.0),
+            (48, 0.3, 3.0, 900.0),
+            (48, 8.0, 0.7, 800.0),
+            (96, 0.0, 20.0, 2000.0),
+            (200, 100.0, 20.0, 2000.0),
+            (200, 0.0, 0.68, 200.0),
+        ] {
+            for (percent, speckle) in [16, 25, 35, 50].into_iter().flat_map(|p| [(p, 0), (p, 1)]) {
+                let wanted = f64::from(percent) / 100.0 * rows as f64;
+                let sigma = wanted / covered(height, noise, 1.0);
+                let normal = Normal::new(black, noise).unwrap();
+                let mut stream = key.with(rows as u64 * 100 + percent as u64).stream();
+                let middle = rows as f64 / 2.0 + key.uniform(percent as u64) - 0.5;
+                let mut pixel = |row: usize| {
+                    let away = (row as f64 + 0.5 - middle) / sigma;
+                    let grain: f64 = match speckle {
+                        1 => Exp1.sample(&mut stream),
+                        _ => 1.0,
+                    };
+                    let light = height * grain * (-0.5 * away * away).exp();
+                    (light + normal.sample(&mut stream))
+                        .round()
+                        .clamp(0.0, 65_535.0) as u16
+                };
+                let columns = 100;
+                let counts =
+                    (0..columns).flat_map(|_| (0..rows).map(&mut pixel).collect::<Vec<_>>());
+                let image = Counts::of_columns(counts.collect(), rows);
+                let peaks = find_peaks(&image, &settings(PeakFinder::Centroid));
+                let case = format!("{seed} {rows} {black} {noise} {percent} {speckle}");
+                assert!(
+                    peaks.len() >= 99 - 4 * speckle,
+                    "{case}: {} lines",
+                    peaks.len()
+                );
+                let true_noise = noise.hypot(1.0 / 12f64.sqrt());
+                let mut noises: Vec<f64> = peaks.iter().map(|p| p.noise / true_noise).collect();
+                noises.sort_by(f64::total_cmp);
+                let median = noises[noises.len() / 2];
+                assert!((0.6..5.0).contains(&median), "{case}: noise {median}");
+                let bound = 13.0 * noise / height * sigma.sqrt() + 0.05;
+                for peak in peaks.iter().filter(|_| speckle == 0) {
+                    assert!(
+                        (peak.row - middle).abs() < bound,
+                        "{case}: {peak:?} {middle}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// With a threshold of 60 counts lines of 70 are found and lines of 50 are not; the noise alone would
+/// let both pass.
+#[test]
+fn a_threshold_replaces_that_of_the_noise() {
+    let lines = |height: f64| vec![expected(&[(40.3, 2.0, height)]); 20];
+    let of = |height: f64, threshold: Option<f64>| {
+        let settings = PeakSettings {
+            threshold,
+            ..settings(PeakFinder::Centroid)
+        };
+        find(&lines(height), &settings).len()
+    };
+    assert_eq!([50.0, 70.0].map(|height| of(height, None)), [20, 20]);
+    assert_eq!([50.0, 70.0].map(|height| of(height, Some(60.0))), [0, 20]);
 }
 
 #[test]

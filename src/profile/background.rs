@@ -49,32 +49,43 @@ pub fn least_height(pixels: usize, noise: f64) -> f64 {
     detection_sigmas(pixels) * noise.max(ROUNDING)
 }
 
-/// Background of a column of `rows` counts: from the median and its absolute deviation (×1.4826
-/// for normal noise, and one count for what rounding hides), what lies further than
-/// four deviations off is left out, again and again until nothing changes. The
-/// threshold is [`students_quantile`] of `z`.
-pub(super) fn background(rows: usize, z: f64, histogram: &Histogram) -> Background {
-    let middle = rows / 2;
-    let median = histogram.value(middle);
-    // Of normal noise that lies two deviations above zero 2.3 % is cut off.
-    let cut = 50 * histogram.at(0) > rows as u64;
-    let spread = match cut {
-        // One deviation above the median; all below may be zeros.
-        true => {
-            let place = (0.68 * (rows - middle) as f64) as usize;
-            (histogram.value(middle + place) - median) as f64
+/// Returns the background of a column with this histogram. The [`dark_rows`] give it if a line exceeds
+/// that background over [`LINE_ROWS`], and all rows otherwise. `scratch` is an empty histogram and is
+/// empty again afterwards.
+pub(super) fn background(
+    column: &Column,
+    z: f64,
+    histogram: &Histogram,
+    scratch: &mut Histogram,
+) -> Background {
+    if let Some(counts) = dark_rows(column, histogram) {
+        let dark = Column::from(&counts[..]);
+        scratch.count(&dark, counts.iter().copied().max().unwrap_or(0));
+        let start = Start::of(counts.len(), scratch);
+        scratch.clear(&dark, None);
+        let found = background_from(&start, z, histogram);
+        // Few dark rows may have less noise than the column: its own noise is then no line.
+        let level = found.mean + 4.0 * found.noise;
+        if longest_run(column, level as u16) >= line_rows(column) {
+            return found;
         }
-        false => 1.4826 * histogram.deviation(median, middle) as f64,
-    };
-    let (mut mean, mut sigma) = (median as f64, spread + 1.0);
-    // A halo about the line would draw the limits outwards without end.
+    }
+    background_from(&Start::of(column.rows(), histogram), z, histogram)
+}
+
+/// Returns the mean and standard deviation of the counts within four standard deviations of the
+/// mean, iterated to a fixed point from `start`. The standard deviation is at most 1.5 times the
+/// initial scale. The threshold is [`students_quantile`] of `z`.
+fn background_from(start: &Start, z: f64, histogram: &Histogram) -> Background {
+    let (mut mean, mut sigma) = (start.median as f64, start.scale);
+    // A halo around the line would widen the limits at each step.
     let limit = 1.5 * sigma;
-    let mut kept = 0;
+    let (mut kept, mut high) = (0, 0);
     // Each round ends with other counts kept or is the last; ten are plenty.
     for _ in 0..10 {
         // Casts saturate.
         let low = (mean - 4.0 * sigma).ceil() as u16;
-        let high = (mean + 4.0 * sigma).floor() as u16;
+        high = (mean + 4.0 * sigma).floor() as u16;
         let (n, sum, squares) = histogram.moments(low, high);
         if n == kept || n == 0 {
             break;
@@ -84,8 +95,10 @@ pub(super) fn background(rows: usize, z: f64, histogram: &Histogram) -> Backgrou
         sigma = (squares as f64 / n as f64 - mean * mean).max(0.0).sqrt();
         sigma = sigma.min(limit);
     }
-    let mut freedom = rows as f64;
-    if cut && sigma > 0.0 {
+    let mut freedom = kept.max(1) as f64;
+    if start.cut && sigma > 0.0 {
+        // The cut removes low counts only; `high` bounds the line's.
+        let median = histogram.value(histogram.moments(0, high).0 as usize / 2);
         let upper = upper_deviation(histogram, median, sigma);
         sigma = sigma.max(upper).min(limit);
         freedom /= ONE_SIDED_VARIANCE;
@@ -96,6 +109,98 @@ pub(super) fn background(rows: usize, z: f64, histogram: &Histogram) -> Backgrou
         noise,
         threshold: students_quantile(z, freedom) * noise,
     }
+}
+
+/// Robust location and scale of noise.
+struct Start {
+    median: u16,
+    /// Standard deviation, counts, plus one count for the effect of rounding.
+    scale: f64,
+    /// True if the black level cuts the noise at zero.
+    cut: bool,
+}
+
+impl Start {
+    fn of(rows: usize, histogram: &Histogram) -> Start {
+        let middle = rows / 2;
+        let median = histogram.value(middle);
+        // Of normal noise that lies two deviations above zero 2.3 % is cut off.
+        let cut = 50 * histogram.at(0) > rows as u64;
+        let scale = match cut {
+            // One deviation above the median; all below may be zeros.
+            true => {
+                let rank = (0.68 * (rows - middle) as f64) as usize;
+                (histogram.value(middle + rank) - median) as f64
+            }
+            // ×1.4826 for normal noise.
+            false => 1.4826 * histogram.deviation(median, middle) as f64,
+        };
+        Start {
+            median,
+            scale: scale + 1.0,
+            cut,
+        }
+    }
+}
+
+/// Length of a run of rows brighter than the darker half that is taken as a line. Of white noise
+/// that the black level cuts, 5 % of columns of 48 rows have one.
+const LINE_ROWS: usize = 6;
+
+/// Rows per block that is dark or not.
+const DARK_BLOCK: usize = 4;
+
+/// [`LINE_ROWS`], or a quarter of the rows if that is less.
+fn line_rows(column: &Column) -> usize {
+    LINE_ROWS.min(column.rows() / 4).max(1)
+}
+
+/// Length of the longest run of counts above `level`.
+fn longest_run(column: &Column, level: u16) -> usize {
+    let counts = column.whole().drawn().1;
+    let runs = counts.split(|&count| count <= level).map(<[u16]>::len);
+    runs.max().unwrap_or(0)
+}
+
+/// Returns the counts of the darkest third of a column's blocks, if a line covers more than 1/16 of
+/// the rows; `None` otherwise. Up to half of the rows may be line: the darker half are then noise,
+/// and twice their range about their highest count bounds the noise. A histogram cannot distinguish
+/// a wide line from noise that the black level cuts, but a line is contiguous. The tails of a line on
+/// half of the rows reach over most of the other half, and leave about a third.
+///
+/// Blocks are chosen by every other row, and the rows between are returned, so that the choice does
+/// not depend on their noise.
+fn dark_rows(column: &Column, histogram: &Histogram) -> Option<Vec<u16>> {
+    let rows = column.rows();
+    let middle = histogram.value(rows.saturating_sub(1) / 2);
+    let range = middle - histogram.value(0);
+    // Four counts for rounding.
+    let bound = middle.saturating_add(range).saturating_add(4);
+    let bright = rows as u64 - histogram.moments(0, bound).0;
+    if 16 * bright <= rows as u64 {
+        return None;
+    }
+    if longest_run(column, bound) < line_rows(column) {
+        return None;
+    }
+    let counts = column.whole().drawn().1;
+    let (blocks, _) = counts.as_chunks::<DARK_BLOCK>();
+    let mut dark = Vec::with_capacity(rows);
+    for parity in [0, 1] {
+        let of_parity = |block: &[u16; DARK_BLOCK], parity: usize| {
+            [block[parity], block[parity + 2]].map(u32::from)
+        };
+        let sum = |block: &&[u16; DARK_BLOCK]| of_parity(block, parity).iter().sum::<u32>();
+        let mut sorted: Vec<_> = blocks.iter().collect();
+        sorted.sort_by_key(sum);
+        sorted.truncate(blocks.len().div_ceil(3));
+        dark.extend(
+            sorted
+                .iter()
+                .flat_map(|block| [block[1 - parity], block[3 - parity]]),
+        );
+    }
+    (!dark.is_empty()).then_some(dark)
 }
 
 /// Variance of a variance that is estimated from one half of normal noise over
@@ -265,9 +370,10 @@ mod tests {
                     .map(|_| (black + normal.sample(&mut stream)).max(0.0).round() as u16)
                     .collect();
                 let highest = *counts.iter().max().unwrap();
-                let mut histogram = Histogram::default();
-                histogram.count(&Column::from(&counts[..]), highest);
-                let found = background(counts.len(), 6.0, &histogram);
+                let [mut histogram, mut scratch] = [Histogram::default(), Histogram::default()];
+                let column = Column::from(&counts[..]);
+                histogram.count(&column, highest);
+                let found = background(&column, 6.0, &histogram, &mut scratch);
                 sum += found.noise / 100.0;
             }
             let truth = (9.0f64 + 1.0 / 12.0).sqrt();

@@ -40,8 +40,9 @@ struct Found<'a> {
 }
 
 /// The line of each column of an image, in the order of columns; columns without one
-/// are left out. A line is what stands out from its column's own noise so far that noise
-/// alone would in [`super::FALSE_PEAKS_PER_FRAME`] of a frame's columns.
+/// are left out. A line exceeds the background of its column by
+/// [`PeakSettings::threshold`], by default the height that noise reaches
+/// [`super::FALSE_PEAKS_PER_FRAME`] times per frame. Up to half of a column's rows may be line.
 ///
 /// ```
 /// use lasertrace::camera::Counts;
@@ -61,11 +62,11 @@ struct Found<'a> {
 pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
     let (columns, rows) = (image.columns(), image.rows());
     let z = detection_sigmas(columns * rows);
-    let mut histogram = Histogram::default();
+    let mut histograms = [Histogram::default(), Histogram::default()];
     let mut tops = Vec::new();
     let detected = (0..columns).map(|column| {
         let column = image.column(column);
-        detect(column, z, &mut histogram, &mut tops)
+        detect(column, (z, settings.threshold), &mut histograms, &mut tops)
     });
     let found: Vec<Option<Detected>> = detected.collect();
     // Of a line that speckle breaks up, half the height tells a grain's width.
@@ -154,17 +155,19 @@ fn tops_of(column: &[u16]) -> impl Iterator<Item = u16> + '_ {
 }
 
 /// The highest line of a column, if it is one. Adds the highest counts of its blocks to `all`.
+/// The threshold is `fixed`, or follows from the noise and `z`. Both histograms are empty.
 fn detect<'a>(
     mut column: Column<'a>,
-    z: f64,
-    histogram: &mut Histogram,
+    (z, fixed): (f64, Option<f64>),
+    [histogram, scratch]: &mut [Histogram; 2],
     all: &mut Vec<u16>,
 ) -> Option<Detected<'a>> {
     let start = all.len();
     all.extend(tops_of(column.drawn().1));
     let drawn = all[start..].iter().copied().max().unwrap_or(0);
     let others = histogram.count(&column, drawn);
-    let background = background(column.rows(), z, histogram);
+    let mut background = background(&column, z, histogram, scratch);
+    background.threshold = fixed.unwrap_or(background.threshold);
     let highest = histogram.highest();
     histogram.clear(&column, others);
     let height = highest as f64 - background.mean;

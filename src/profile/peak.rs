@@ -155,6 +155,9 @@ pub struct PeakSettings {
     pub finder: PeakFinder,
     /// Which line of several.
     pub choice: Choice,
+    /// Counts above the background that the highest pixel of a line has at least; `None`: the height
+    /// that noise reaches [`super::FALSE_PEAKS_PER_FRAME`] times per frame.
+    pub threshold: Option<f64>,
     /// The count at which pixels saturate.
     pub max_count: u16,
     /// Least standard deviation that the calibration expects of an uncut line, px;
@@ -172,6 +175,7 @@ impl PeakSettings {
         PeakSettings {
             finder: PeakFinder::default(),
             choice: Choice::default(),
+            threshold: None,
             max_count,
             expected_sigma: 0.0,
             lens_sigma: 0.0,

@@ -38,6 +38,7 @@ impl Simulation {
         PeakSettings {
             finder: measure.finder,
             choice: measure.choice,
+            threshold: measure.threshold_dn,
             max_count: camera.sensor.saturation_count(),
             expected_sigma: self.plan.line_half_width_px / 2.0,
             lens_sigma: match self.plan.blur {

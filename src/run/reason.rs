@@ -306,7 +306,7 @@ impl Reason {
                 ..
             } => format!(
                 "gives too dark a line: at most {} counts above black are expected, and {} are \
-                 needed to tell it from noise. Raise camera.exposure_ms or laser.power_mw.",
+                 needed to detect it. Raise camera.exposure_ms or laser.power_mw.",
                 short(*counts),
                 short(*least_counts)
             ),

@@ -386,8 +386,12 @@ impl Follow<'_> {
     }
 }
 
-/// Counts above black that a line must have to be found: what noise alone hardly reaches.
+/// Counts above black that a line must have to be found: `measure.threshold_dn`, or the height that
+/// noise rarely reaches.
 pub(crate) fn least_counts(scene: &Scene) -> f64 {
+    if let Some(threshold) = scene.measure.threshold_dn {
+        return threshold;
+    }
     let sensor = &scene.camera.sensor;
     let noise = (sensor.dark_noise_e() * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
     let pixels = sensor.resolution.as_u64vec2().element_product();

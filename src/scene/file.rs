@@ -508,6 +508,9 @@ pub struct MeasureTable {
     pub peak: PeakFinder,
     /// Which line of a column with several is taken. Default: strongest.
     pub choose: Choice,
+    /// Detection threshold: counts above the background that the highest pixel of a line has at least.
+    /// Default: the height that noise reaches once in 1000 frames.
+    pub threshold_dn: Option<f64>,
     /// A calibration.json, as `lasertrace calibrate` writes it; path relative to the
     /// scene file. Default: the true values of camera and laser plane.
     pub calibration: Option<String>,
@@ -534,6 +537,7 @@ impl Default for MeasureTable {
         MeasureTable {
             peak: PeakFinder::default(),
             choose: Choice::default(),
+            threshold_dn: None,
             calibration: None,
             align: false,
             outlier_um: None,

@@ -17,9 +17,16 @@ impl Resolver<'_> {
         camera: &Camera,
         frames: u32,
     ) -> Result<Measure> {
+        let full = camera.sensor.full_scale() - camera.sensor.black_level_dn;
+        self.check(
+            table.threshold_dn.is_none_or(|dn| dn > 0.0 && dn < full),
+            "measure.threshold_dn",
+            &format!("a number of counts > 0 and below {full:.0}, full scale less the black level"),
+        )?;
         Ok(Measure {
             finder: table.peak,
             choice: table.choose,
+            threshold_dn: table.threshold_dn,
             align: table.align,
             filters: self.filters(table, camera, frames)?,
         })

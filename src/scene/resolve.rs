@@ -41,6 +41,8 @@ pub struct Measure {
     pub finder: PeakFinder,
     /// Which line of several in a column.
     pub choice: Choice,
+    /// Counts above the background that a line's highest pixel has at least; `None`: from the noise.
+    pub threshold_dn: Option<f64>,
     /// Best fit of the cloud to the CAD before deviations are taken.
     pub align: bool,
     /// What is done to profiles before they are delivered.
