@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::frame::Blur;
 use crate::inspect::bands::{Verdict, in_words, judge};
 use crate::inspect::cloud::CloudPoint;
-use crate::inspect::coverage::HeadPose;
+use crate::inspect::coverage::{Fate, HeadPose};
 use crate::inspect::flags::count_flags;
 use crate::inspect::uncertainty::UncertaintyStatistics;
 use crate::laser::Laser;
@@ -224,14 +224,24 @@ impl Shown<'_> {
         ));
         control.check()?;
         if let Some(coverage) = &self.summary.coverage {
-            let places = || coverage.places.iter().map(|(p, fate)| (*p, of_fate(*fate)));
+            let places = || {
+                coverage
+                    .places
+                    .iter()
+                    .map(|(p, fate)| (*p, f32::from(*fate as u8)))
+            };
+            let paint = |median: f64| {
+                let order = median.round() as usize;
+                let fate = Fate::ALL.into_iter().find(|&fate| fate as usize == order);
+                of_fate(fate.unwrap_or(Fate::OutsideScan))
+            };
             maps.push(ColorMap {
                 title: "Coverage of the CAD surface",
                 bar: String::new(),
                 legend: "Green: measured. Other colours: why it is not, as in the table of coverage below.",
                 views: (views.iter())
                     .map(|&(caption, view)| {
-                        let picture = part_picture(&self.simulation.accel, places(), view, PICTURE_SIZE);
+                        let picture = part_picture(&self.simulation.accel, places(), &paint, view, PICTURE_SIZE);
                         (caption, picture.png)
                     })
                     .collect(),
