@@ -362,7 +362,10 @@ fn warned(folder: &Path) -> Vec<(String, String)> {
     let warnings = checked.warnings.into_iter();
     let named = warnings.map(|warning| {
         let reason = serde_json::to_value(&warning.reason).unwrap();
-        (reason["reason"].as_str().unwrap().to_owned(), warning.message)
+        (
+            reason["reason"].as_str().unwrap().to_owned(),
+            warning.message,
+        )
     });
     named.collect()
 }
@@ -381,7 +384,10 @@ fn each_mistake_is_named(seed: u64) {
             fs::write(folder.path().join(name), text).unwrap();
         }
         let found = warned(folder.path());
-        if !found.iter().any(|(reason, _)| mistake.expected.contains(&&**reason)) {
+        if !found
+            .iter()
+            .any(|(reason, _)| mistake.expected.contains(&&**reason))
+        {
             silent.push((mistake.name, mistake.expected, found.clone()));
         }
         let messages: Vec<String> = found.into_iter().map(|(_, message)| message).collect();
@@ -453,9 +459,13 @@ fn sound_scenes_of_other_kinds_give_no_warning() {
             rows += &format!("{x},{y},0,0,0,0\n");
         }
     }
-    assert_sound("overlapping passes", &load(&mistakes::with_poses(&plate), Some(rows)));
+    assert_sound(
+        "overlapping passes",
+        &load(&mistakes::with_poses(&plate), Some(rows)),
+    );
 
-    let block = "step_block = { size_mm = [40, 30, 40], step_mm = 40 }".replace("step_mm = 40", "step_mm = 38");
+    let block = "step_block = { size_mm = [40, 30, 40], step_mm = 40 }"
+        .replace("step_mm = 40", "step_mm = 38");
     let stepped = part(&format!("{block}\nposition_mm = [0, 0, -5]"));
     let mut rows = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n".to_owned();
     for z in [18.0, -20.0] {
@@ -468,7 +478,10 @@ fn sound_scenes_of_other_kinds_give_no_warning() {
     let strip = part("plane = { size_mm = [150, 30] }\nposition_mm = [0, 0, 15]");
     assert_sound("strip", &load(&strip, None));
 
-    let sensor = format!("{}/sensors/generic-50mm-405nm.toml", env!("CARGO_MANIFEST_DIR"));
+    let sensor = format!(
+        "{}/sensors/generic-50mm-405nm.toml",
+        env!("CARGO_MANIFEST_DIR")
+    );
     let ball = format!(
         "seed = 1\nspeckle = true\nsensor = \"{sensor}\"\n[part]\nsphere = {{ radius_mm = 12, chord_um = 20 }}\n\
          reflectance = 0.5\n[scan]\nframes = 101\nstep_mm = 0.25\ndirection = [0, 1, 0]\nstart_mm = [0, -12.5, 0]\n"

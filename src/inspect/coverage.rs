@@ -69,7 +69,7 @@ pub struct SurfaceCoverage {
     pub area_mm2: f64,
     /// Share of the area for each fate; their sum is 1.
     pub shares: Vec<(Fate, f64)>,
-    /// Valid points per square millimetre of what was measured.
+    /// Valid points per square millimetre of the measured surface.
     pub points_per_mm2: Option<f64>,
     /// Places that were looked at, spread evenly over the area: a share p is good
     /// to about √(p(1 − p)/samples).
@@ -108,7 +108,11 @@ pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
         n as f64 / samples as f64
     };
     let measured = places.area * share(Fate::Measured);
-    let valid = scanned.points.iter().filter(|point| point.is_valid()).count();
+    let valid = scanned
+        .points
+        .iter()
+        .filter(|point| point.is_valid())
+        .count();
     Some(SurfaceCoverage {
         area_mm2: places.area,
         shares: Fate::ALL.iter().map(|&fate| (fate, share(fate))).collect(),

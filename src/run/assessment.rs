@@ -39,7 +39,7 @@ const MAX_ORIENTATIONS: usize = 8;
 /// Frames of which it is determined whether their field passes outside the part.
 const MAX_FRAMES: usize = 512;
 
-/// What a scan will measure, and what not.
+/// The fractions of surface and light that a scan measures, and its path.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Assessment {
     /// `None` if no light falls on the part in the camera's columns.
@@ -91,7 +91,7 @@ pub struct SurfaceFractions {
     pub measurable: f64,
     /// Fraction of the measurable surface that the laser plane passes within the field.
     pub in_field: f64,
-    /// Fraction that it passes beside the field.
+    /// Fraction that it passes outside the field.
     pub beside_field: f64,
     /// Fraction that it never passes.
     pub not_passed: f64,
@@ -118,7 +118,7 @@ pub struct PathFigures {
     pub empty_frames: f64,
     /// Fraction of the field that passes outside this box in the other frames.
     pub field_beside_part: f64,
-    /// Widest gap between neighbouring passes with measurable surface in it; `None` if there is no such gap.
+    /// Widest spacing of neighbouring passes with measurable surface between them; `None` for single passes.
     pub gap: Option<PassGap>,
 }
 
@@ -151,18 +151,22 @@ impl Assessment {
         let followed = (&orientations, several.then_some(&sheets));
         let light = LightFractions::of((scene, accel), survey, &valid, followed);
         let surface = Surface::of(accel, &orientations);
-        let ways: Vec<Way> = surface
+        let ways: Vec<Passing> = surface
             .points
             .par_iter()
-            .map(|&(point, _)| Way::of((scene, accel), &sheets, point))
+            .map(|&(point, _)| Passing::of((scene, accel), &sheets, point))
             .collect();
         let measured = light.map_or(0.0, |light| light.valid);
         let gap = sensor.and_then(|sensor| {
-            let missed = surface.points.iter().zip(&ways);
-            let missed = missed.filter(|(_, way)| **way != Way::InField);
-            let missed: Vec<DVec3> = missed.map(|((point, _), _)| *point).collect();
             let field = field_at_part(sensor, scene, survey)?;
-            widest_gap(scene, &passes, reference, field, &missed)
+            let points = surface.points.iter().map(|(point, _)| *point);
+            widest_gap(
+                scene,
+                &passes,
+                reference,
+                field,
+                &points.collect::<Vec<_>>(),
+            )
         });
         Assessment {
             light,
@@ -208,7 +212,7 @@ impl Valid {
         }
     }
 
-    /// `None` for light that gives valid points, and for light beside the columns.
+    /// `None` for light that gives valid points, and for light outside the columns.
     fn lost(&self, fate: Fate) -> Option<Cause> {
         match fate {
             Fate::TooNear(by) => Some(Cause::TooNear(by)),
@@ -256,9 +260,7 @@ impl LightFractions {
                     let pose = laser_at(scene, frame);
                     let follow = Follow::new(scene, accel, pose);
                     let fate = follow.fate_of(lit.point, lit.normal, lit.triangle);
-                    fate.is_some_and(|fate| {
-                        fate != Fate::OutOfView && valid.lost(fate).is_none()
-                    })
+                    fate.is_some_and(|fate| fate != Fate::OutOfView && valid.lost(fate).is_none())
                 })
             })
         };
@@ -325,20 +327,20 @@ fn laser_at(scene: &Scene, frame: f64) -> Rigid {
 
 /// How the laser plane passes a position of the surface along the path.
 #[derive(Clone, Copy, PartialEq)]
-enum Way {
+enum Passing {
     InField,
     Beside,
     Never,
 }
 
-impl Way {
-    fn of((scene, accel): (&Scene, &Accel), sheets: &Sheets, point: DVec3) -> Way {
-        let mut way = Way::Never;
+impl Passing {
+    fn of((scene, accel): (&Scene, &Accel), sheets: &Sheets, point: DVec3) -> Passing {
+        let mut way = Passing::Never;
         for frame in sheets.through(point) {
             if Follow::new(scene, accel, laser_at(scene, frame)).is_in_field(point) {
-                return Way::InField;
+                return Passing::InField;
             }
-            way = Way::Beside;
+            way = Passing::Beside;
         }
         way
     }
@@ -404,8 +406,8 @@ impl Surface {
         }
     }
 
-    fn fractions(&self, ways: &[Way], valid: f64) -> Option<SurfaceFractions> {
-        let of = |holds: &dyn Fn(Way) -> bool| {
+    fn fractions(&self, ways: &[Passing], valid: f64) -> Option<SurfaceFractions> {
+        let of = |holds: &dyn Fn(Passing) -> bool| {
             let weights = self.points.iter().zip(ways);
             let weights = weights.filter(|(_, way)| holds(**way));
             weights.map(|((_, weight), _)| weight).sum::<f64>()
@@ -414,10 +416,10 @@ impl Surface {
         let fraction = |way| of(&|other| other == way) / all;
         (all > 0.0).then(|| SurfaceFractions {
             measurable: self.fraction,
-            in_field: fraction(Way::InField),
-            beside_field: fraction(Way::Beside),
-            not_passed: fraction(Way::Never),
-            measured: fraction(Way::InField) * valid,
+            in_field: fraction(Passing::InField),
+            beside_field: fraction(Passing::Beside),
+            not_passed: fraction(Passing::Never),
+            measured: fraction(Passing::InField) * valid,
         })
     }
 }
@@ -527,7 +529,11 @@ impl Line {
         let at = |frame: u32| scene.part_from_head(frame).point(reference);
         let way = at(last) - at(first);
         let pose = part_from_laser(scene, first + (last - first) / 2);
-        let axes = [way.try_normalize()?, pose.rotation.x_axis, pose.rotation.z_axis];
+        let axes = [
+            way.try_normalize()?,
+            pose.rotation.x_axis,
+            pose.rotation.z_axis,
+        ];
         // A pass along the laser line, as from one pass to the next, leaves no gap at its sides.
         let across = axes[0].dot(axes[1]).abs() < std::f64::consts::FRAC_1_SQRT_2;
         across.then(|| Line {
@@ -538,13 +544,13 @@ impl Line {
     }
 }
 
-/// The widest spacing of neighbouring passes between which some of the `missed` surface lies.
+/// The widest spacing of neighbouring passes that have measurable surface (`points`) where their fields end.
 fn widest_gap(
     scene: &Scene,
     passes: &Passes,
     reference: DVec3,
     field: f64,
-    missed: &[DVec3],
+    points: &[DVec3],
 ) -> Option<PassGap> {
     let lines: Vec<Line> = passes
         .frames
@@ -563,13 +569,15 @@ fn widest_gap(
                 && aside(other) > 0.05 * field
         });
         let next = neighbours.map(|other| aside(&other)).reduce(f64::min)?;
+        // Where the two fields end, which overlap or leave a gap.
+        let ends = [field / 2.0, next - field / 2.0];
+        let margin = 0.025 * field;
+        let between = ends[0].min(ends[1]) - margin..ends[0].max(ends[1]) + margin;
         let in_gap = |point: &DVec3| {
             let offset = *point - line.center;
-            let x = offset.dot(side);
-            (field / 2.0..next - field / 2.0).contains(&x)
-                && offset.dot(along).abs() < line.half_length
+            between.contains(&offset.dot(side)) && offset.dot(along).abs() < line.half_length
         };
-        missed.iter().any(in_gap).then_some(next)
+        points.iter().any(in_gap).then_some(next)
     };
     let spacing_mm = lines.iter().filter_map(spacing).reduce(f64::max)?;
     Some(PassGap {

@@ -1,5 +1,5 @@
-//! A first scene of a part under a sensor, in a folder with all the files it needs: the part as its file has it, and
-//! passes that bring all of it into the measuring range.
+//! A first scene of a part under a sensor, in a folder with all the files it needs. The path consists of passes that
+//! bring all of the part into the measuring range.
 
 use super::ready::hierarchy_watched;
 use super::reason::{Reason, Warning};
@@ -20,8 +20,9 @@ use std::path::{Path, PathBuf};
 const USED: f64 = 0.9;
 /// Frames of a first scan, unless the part is so small that its steps would be finer than the sensor's columns.
 const FRAMES: f64 = 2000.0;
-/// A part this many times as large as the field, or as small, may be in another unit than the assumed one: half way,
-/// on a scale of ratios, between a part that fills the field and one a thousand times as large, √1000.
+/// Ratio of the sizes of part and field above which the assumed unit is doubtful, and below whose inverse it is. With
+/// metres for millimetres a part that fills the field has a ratio of 1000 or 1/1000. The limit is √1000, half way on a
+/// logarithmic scale.
 const UNIT_RATIO: f64 = 31.6;
 /// Names of the files in the folder.
 const SCENE: &str = "scene.toml";
@@ -76,7 +77,7 @@ pub struct Begun {
     pub frames: usize,
     /// Number of passes side by side, and of their layers one below the other.
     pub passes: [usize; 2],
-    /// Of the part as it is turned, mm.
+    /// Size of the part as it is turned, mm.
     pub size_mm: [f64; 3],
     /// From one frame to the next, mm.
     pub step_mm: f64,
@@ -86,8 +87,8 @@ pub struct Begun {
 
 /// Writes a scene (`scene.toml`), the poses of its path (`path.csv`), and copies of the part's file and of the
 /// sensor's (`sensor.toml`) to a folder, which can then be moved anywhere. The sensor looks down at the part, whose
-/// axis `up` points to it, with its line along x, and moves along y. `unit` is that of the part's file; `None`: mm, or
-/// what the file states.
+/// axis `up` points to it, with its line along x, and moves along y. `unit` is the unit of the part's file. With
+/// `None` it is the unit that the file states, or mm.
 ///
 /// # Errors
 /// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that exists
@@ -148,7 +149,10 @@ pub fn begin(
     let foreseen = warnings
         .into_iter()
         .filter(|warning| doubtful.is_none() || !is_unit(warning));
-    let of_part = doubtful.iter().cloned().chain(path.deeper_than_range(&figures));
+    let of_part = doubtful
+        .iter()
+        .cloned()
+        .chain(path.deeper_than_range(&figures));
     Ok(Begun {
         scene: file,
         frames: path.frames(),

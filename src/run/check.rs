@@ -50,8 +50,8 @@ pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     check_ready(&simulation, start.elapsed().as_secs_f64(), control)
 }
 
-/// The same of a sensor by itself: its target is the plane of [`Scene::of_sensor`], at the centre of the measuring
-/// range and perpendicular to the beam.
+/// Checks the scene of a sensor's file ([`Scene::of_sensor`]). Its plane is placed at the centre of the measuring
+/// range, perpendicular to the beam.
 ///
 /// # Errors
 /// As [`check`].
@@ -66,8 +66,7 @@ pub fn check_sensor(mut scene: Scene, control: &Control) -> Result<Checked> {
         let world_from_laser = scene.world_from_head(0) * scene.head_from_laser;
         scene.part_at_rest = Rigid {
             // The plane faces the laser.
-            rotation: world_from_laser.rotation
-                * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+            rotation: world_from_laser.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
             translation: world_from_laser.point(DVec3::Z * ((near + far) / 2.0)),
         };
     }

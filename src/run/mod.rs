@@ -47,11 +47,11 @@ mod warnings;
 
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
 pub use begin::{Begun, Up, begin};
+#[cfg(feature = "cli")]
+pub use check::check_sensor;
 pub use check::{Checked, check, draw_sensor};
 #[cfg(feature = "service")]
 pub(crate) use check::{check_ready, drawing};
-#[cfg(feature = "cli")]
-pub use check::check_sensor;
 #[cfg(feature = "cli")]
 pub use check_text::{check_text, sensor_text, warning_lines};
 pub use control::{Control, Coverage};

@@ -153,11 +153,18 @@ mod tests {
             let aside = step * (between(3, 15.0, 25.0).floor());
             let (mut positions, mut x) = (Vec::new(), 0.0);
             for pass in 0..count {
-                let y = |i: usize| step * if joined && pass % 2 == 1 { steps - i } else { i } as f64;
+                let y = |i: usize| {
+                    step * if joined && pass % 2 == 1 {
+                        steps - i
+                    } else {
+                        i
+                    } as f64
+                };
                 positions.extend((0..=steps).map(|i| DVec3::new(x, y(i), 0.0)));
                 if joined && pass + 1 < count {
                     let n = (aside / step).round() as usize;
-                    positions.extend((1..n).map(|i| DVec3::new(x + step * i as f64, y(steps), 0.0)));
+                    positions
+                        .extend((1..n).map(|i| DVec3::new(x + step * i as f64, y(steps), 0.0)));
                 }
                 x += aside;
             }
@@ -168,9 +175,16 @@ mod tests {
             let last = 7 + positions.len() as u32 - 1;
             assert_eq!(*passes.frames[expected - 1].end(), last);
             let along = count as f64 * steps as f64 * step;
-            let across = if joined { (count - 1) as f64 * aside } else { 0.0 };
+            let across = if joined {
+                (count - 1) as f64 * aside
+            } else {
+                0.0
+            };
             let travel = passes.travel.unwrap();
-            assert!((travel - along - across).abs() < 1e-9 * along, "{seed}: {travel}");
+            assert!(
+                (travel - along - across).abs() < 1e-9 * along,
+                "{seed}: {travel}"
+            );
             assert!((passes.step.unwrap() - step).abs() < 1e-9 * step);
         }
     }

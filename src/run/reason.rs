@@ -260,7 +260,8 @@ impl fmt::Display for Reason {
         let text = self
             .of_the_result()
             .or_else(|| self.of_the_setup())
-            .or_else(|| self.of_the_path());
+            .or_else(|| self.of_the_path())
+            .or_else(|| self.of_the_duration());
         f.write_str(&text.unwrap_or_else(|| self.of_the_light()))
     }
 }
@@ -402,6 +403,18 @@ impl Reason {
                 short(*field_mm),
                 short(*limit_mm)
             ),
+            Reason::SurfaceNotMeasured { fraction } => format!(
+                "{} % of the surface in the field gives no valid points, by several causes together; `check` lists \
+                 them. Change the exposure, the focus, or the positions of sensor and part.",
+                percent(*fraction)
+            ),
+            _ => return None,
+        })
+    }
+
+    /// The length of the path and its steps.
+    fn of_the_duration(&self) -> Option<String> {
+        Some(match self {
             Reason::DeeperThanRange {
                 part_mm,
                 range_mm,
@@ -450,15 +463,11 @@ impl Reason {
                 short(*travel_mm),
                 short(column_mm * 1e3),
                 match poses {
-                    true => "Check the unit of scan.poses, which is millimetres: a file in metres has numbers a \
+                    true =>
+                        "Check the unit of scan.poses, which is millimetres: a file in metres has numbers a \
                              thousandth as large.",
                     false => "Raise scan.step_mm, which is in millimetres, and lower scan.frames.",
                 }
-            ),
-            Reason::SurfaceNotMeasured { fraction } => format!(
-                "{} % of the surface in the field gives no valid points, by several causes together; `check` lists \
-                 them. Change the exposure, the focus, or the positions of sensor and part.",
-                percent(*fraction)
             ),
             _ => return None,
         })
@@ -507,9 +516,23 @@ impl Reason {
             Reason::HiddenFromCamera { .. } => "falls where the part itself hides it from the \
                  camera. Turn the part, or move the camera nearer to the laser."
                 .to_owned(),
-            Reason::FacesAway { .. } => "falls on surface that faces away from the camera. Turn the part or the \
+            Reason::FacesAway { .. } => {
+                "falls on surface that faces away from the camera. Turn the part or the \
                  sensor, or move the camera nearer to the laser."
-                .to_owned(),
+                    .to_owned()
+            }
+            _ => self.of_the_image().unwrap_or_else(|| {
+                "falls on the part to the side of what the camera sees. Change the path (scan), \
+                 part.position_mm or camera.look_at_mm."
+                    .to_owned()
+            }),
+        };
+        format!("{light} {rest}")
+    }
+
+    /// The reasons that the image of the line gives no valid points.
+    fn of_the_image(&self) -> Option<String> {
+        Some(match self {
             Reason::OutOfFocus { times, limit, .. } => format!(
                 "is out of focus: its line in the image is up to {} times as wide as at the best focus, and {} times \
                  is the limit (warnings.blur). Set camera.focus = \"laser-plane\", which sets \
@@ -533,10 +556,7 @@ impl Reason {
                  Lower camera.exposure_ms or laser.power_mw to 1/{0} of what it is, or less.",
                 short(*times)
             ),
-            _ => "falls on the part to the side of what the camera sees. Change the path (scan), \
-                 part.position_mm or camera.look_at_mm."
-                .to_owned(),
-        };
-        format!("{light} {rest}")
+            _ => return None,
+        })
     }
 }

@@ -151,13 +151,16 @@ impl Survey {
     pub fn of(scene: &Scene, accel: &Accel, frames: Range<u32>) -> Survey {
         let directions = directions(scene);
         let corners = accel.bounds().corners();
-        let placed = spread(frames.len(), MOST_LOOKED_AT).map(|i| {
-            let frame = frames.start + i as u32;
+        let place = |frame: u32| {
             let laser_from_part = part_from_laser(scene, frame).inverse();
             let part = Aabb::of(corners.map(|corner| laser_from_part.point(corner)));
             Placed { frame, part }
-        });
-        let placed: Vec<Placed> = placed.collect();
+        };
+        let looked_at = spread(frames.len(), MOST_LOOKED_AT);
+        let mut placed: Vec<Placed> = looked_at.map(|i| place(frames.start + i as u32)).collect();
+        if !placed.iter().any(Placed::may_be_lit) {
+            placed = with_crossings(placed, &place);
+        }
         let near: Vec<&Placed> = placed.iter().filter(|p| p.may_be_lit()).collect();
         let chosen: Vec<u32> = spread(near.len(), MOST_FRAMES)
             .map(|i| near[i].frame)
@@ -193,6 +196,46 @@ pub(crate) fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
 pub(crate) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let chosen = count.min(most);
     (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
+}
+
+/// Crossings of the part that are searched for on a path too long to look at each of its frames.
+const MAX_CROSSINGS: usize = 64;
+
+/// Adds frames of a long path in which the light's plane crosses the box, although it does so in none of `placed`:
+/// between two frames with the box on either side of the plane.
+fn with_crossings(placed: Vec<Placed>, place: &impl Fn(u32) -> Placed) -> Vec<Placed> {
+    let side = |p: &Placed| p.part.center().y > 0.0;
+    let mut more = Vec::new();
+    let changes = placed.windows(2);
+    let changes = changes.filter(|pair| side(&pair[0]) != side(&pair[1]));
+    for pair in changes.take(MAX_CROSSINGS) {
+        let ends = [pair[0].frame, pair[1].frame];
+        // The last frame for which `holds` gives what it gives at `from`.
+        let last = |from: u32, to: u32, holds: &dyn Fn(&Placed) -> bool| {
+            let (mut low, mut high) = (i64::from(from), i64::from(to));
+            let at_start = holds(&place(from));
+            while (high - low).abs() > 1 {
+                let middle = (low + high) / 2;
+                match holds(&place(middle as u32)) == at_start {
+                    true => low = middle,
+                    false => high = middle,
+                }
+            }
+            low as u32
+        };
+        let crossed = last(ends[0], ends[1], &side);
+        let lit = [crossed, crossed + 1]
+            .into_iter()
+            .find(|&f| place(f).may_be_lit());
+        if let Some(lit) = lit {
+            let [first, end] = ends.map(|end| last(lit, end, &Placed::may_be_lit));
+            let count = (end - first + 1) as usize;
+            more.extend(spread(count, MOST_FRAMES).map(|i| place(first + i as u32)));
+        }
+    }
+    more.extend(placed);
+    more.sort_by_key(|placed| placed.frame);
+    more
 }
 
 impl Placed {
@@ -307,12 +350,7 @@ fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
 }
 
 /// The ends of the rays of a frame that hit the part.
-fn lit_points(
-    scene: &Scene,
-    accel: &Accel,
-    frame: u32,
-    directions: &[Direction],
-) -> Vec<LitPoint> {
+fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<LitPoint> {
     let part_from_laser = part_from_laser(scene, frame);
     let follow = Follow::new(scene, accel, part_from_laser);
     let mut lit = Vec::new();
@@ -448,9 +486,8 @@ impl Follow<'_> {
         (faces && free(to_laser) && free(to_camera)).then_some(cosine)
     }
 
-    /// The expected counts are those of the pixel in the middle of the line, which is a
-    /// Gaussian of standard deviation σ px there: ∫exp(−x²/2σ²) over one pixel is
-    /// σ√(2π)·erf(1/(2√2·σ)).
+    /// Returns the line at a lit point. The counts are expected in the pixel at the centre of the line, which is a
+    /// Gaussian of standard deviation σ px: ∫exp(−x²/2σ²) over one pixel is σ√(2π)·erf(1/(2√2·σ)).
     fn seen(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<LineImage> {
         let Scene {
             laser,

@@ -1,10 +1,10 @@
 //! Why a scan gives nothing, or nothing worth having: the same words before it, from the
 //! geometry of the scene, and after it, from what the frames gave.
 
-use super::housing::touch;
-use super::reason::{Reason, Warning};
 use super::assessment::{Assessment, LightFractions};
 use super::forecast::Forecast;
+use super::housing::touch;
+use super::reason::{Reason, Warning};
 use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
@@ -212,7 +212,8 @@ fn is_inside(accel: &Accel, p: DVec3) -> bool {
     })
 }
 
-/// The warning of a part that is `limit` times as large as the field, or as small, and the unit in which it fits.
+/// Warns of a part whose size differs from the field by a factor of `limit` or more, and names the unit in which it
+/// fits.
 pub(super) fn unit_doubtful(
     scene: &Scene,
     accel: &Accel,
@@ -333,9 +334,13 @@ fn of_the_path(scene: &Scene, frames: usize, assessment: &Assessment) -> Vec<Rea
     let limits = &scene.warnings;
     let path = &assessment.path;
     let mut reasons = Vec::new();
-    let gap = path.gap.map(|gap| (gap, limits.pass_spacing * gap.field_mm));
+    let gap = path
+        .gap
+        .map(|gap| (gap, limits.pass_spacing * gap.field_mm));
     let gap = gap.filter(|(gap, limit_mm)| gap.spacing_mm > *limit_mm);
-    if let Some(surface) = &assessment.surface {
+    // Without light in the field, where it falls is the whole reason.
+    let surface = assessment.surface.filter(|_| assessment.light.is_some());
+    if let Some(surface) = surface {
         let limit = limits.unmeasured_fraction;
         // Surface between passes is missed for another reason.
         if gap.is_none() && path.field_beside_part.min(surface.beside_field) > limit {
@@ -351,7 +356,7 @@ fn of_the_path(scene: &Scene, frames: usize, assessment: &Assessment) -> Vec<Rea
             });
         }
     }
-    if path.empty_frames > limits.empty_frames_fraction {
+    if surface.is_some() && path.empty_frames > limits.empty_frames_fraction {
         reasons.push(Reason::MostlyOutsidePart {
             frames: path.empty_frames,
             travel_mm: path.travel_mm,

@@ -42,7 +42,7 @@ pub fn with_poses(text: &str) -> String {
     format!("{before}[scan]\nposes = \"path.csv\"\n")
 }
 
-/// Passes along y over x, each of these rows of y.
+/// Poses of passes along y at each of `xs`.
 pub fn passes(xs: &[f64], ys: impl Iterator<Item = f64> + Clone) -> String {
     let mut csv = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n".to_owned();
     for x in xs {
@@ -64,119 +64,212 @@ fn box_obj([x, y, z]: [f64; 3]) -> String {
     obj + "f 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"
 }
 
-const TOO_NEAR: &[&str] = &["above-range", "sensor-inside-part", "sensor-through-part"];
+/// Numbers of one variant.
+struct Draw(Key);
+
+impl Draw {
+    fn between(&self, i: u64, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.uniform(i)
+    }
+
+    fn sign(&self, i: u64) -> f64 {
+        if self.0.bits(i).is_multiple_of(2) {
+            1.0
+        } else {
+            -1.0
+        }
+    }
+}
+
+type Case = (&'static str, String, &'static [&'static str]);
 
 /// Mistakes in the scene of the bracket, drawn from a seed.
 pub fn mistakes(seed: u64) -> Vec<Mistake> {
-    let key = Key::new(seed, Purpose::Bootstrap);
-    let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
-    let sign = |i: u64| if key.bits(i) % 2 == 0 { 1.0 } else { -1.0 };
+    let draw = Draw(Key::new(seed, Purpose::Bootstrap));
     let base = bracket();
-    let placed = |x: f64, y: f64, z: f64| {
-        let to = format!("position_mm = [{x}, {y}, {z}]\nreflectance");
-        changed(&base, "reflectance", &to)
-    };
-    let other = |from: &str, to: String| changed(&base, from, &to);
-    let unit = |unit: &str| other("unit = \"mm\"", format!("unit = \"{unit}\""));
-    let mut all = Vec::new();
-    let mut add = |name, scene: String, expected| {
-        all.push(Mistake {
-            name,
-            scene,
-            files: Vec::new(),
-            expected,
-        });
-    };
-    add("mesh in mm read as inches", unit("inch"), TOO_NEAR);
-    add("mesh in mm read as cm", unit("cm"), TOO_NEAR);
-    add("mesh in mm read as metres", unit("m"), &["unit-doubtful"]);
-    let x = sign(0) * between(1, 18.0, 45.0);
-    add("part displaced along the line", placed(x, 0.0, 0.0), &["displaced-sideways"]);
-    let y = sign(2) * between(3, 8.0, 30.0);
-    add("part displaced along the path", placed(0.0, y, 0.0), &["displaced-along-path"]);
-    add("part too high", placed(0.0, 0.0, between(4, 15.0, 60.0)), &["above-range"]);
-    add("part too low", placed(0.0, 0.0, -between(5, 20.0, 60.0)), &["below-range"]);
-    add(
-        "part missing: placed elsewhere",
-        placed(0.0, sign(6) * between(7, 60.0, 900.0), 0.0),
-        &["light-misses-part", "light-beside-part"],
-    );
-    let fine = changed(&base, "[320, 128]", "[640, 256]");
-    let fine = changed(&fine, "pixel_pitch_um = 22", "pixel_pitch_um = 11");
-    let tilt = format!(
-        "focus_distance_mm = 251.967\ntilt_deg = [{}, 0]",
-        between(8, 10.3, 13.0)
-    );
-    let tilted = changed(&fine, "focus_distance_mm = 252", &tilt);
-    add("Scheimpflug tilt of the wrong sign", tilted, &["out-of-focus"]);
-    let focus = 252.0 * (1.0 + sign(9) * between(10, 0.2, 0.4));
-    let focus = format!("focus_distance_mm = {focus}");
-    add("lens focused elsewhere", other("focus_distance_mm = 252", focus), &["out-of-focus"]);
-    let many = (20e6 * between(11, 0.5, 2.0)) as u64;
-    let many = format!("frames = {many}");
-    add("20 million frames", other("frames = 219", many.clone()), &["mostly-outside-part"]);
-    let many = changed(&other("frames = 219", many), "step_mm = 0.2", "step_mm = 0.000002");
-    add("20 million steps of nanometres", many, &["steps-too-short"]);
-    let slow = format!("frames = 219\nframe_rate_hz = {}", between(12, 0.0005, 0.007));
-    add("frame rate in kHz read as Hz", other("frames = 219", slow), &["long-path"]);
-    let exposure = |times: f64| {
-        let to = format!("exposure_ms = {}", 0.00375 * times);
-        other("exposure_ms = 0.00375", to)
-    };
-    add("exposure too long", exposure(between(13, 12.0, 100.0)), &["saturated"]);
-    add("exposure too short", exposure(1.0 / between(14, 50.0, 500.0)), &["too-dark"]);
-    let fan = format!("fan_deg = {}", between(15, 0.3, 0.5));
-    add("fan angle in radians", other("fan_deg = 24", fan), &["saturated", "displaced-sideways"]);
-    let up = other("direction = [0, 0, -1]", "direction = [0, 0, 1]".to_owned());
-    add("laser up", up, &["laser-looks-away"]);
-    let lean = format!("direction = [0, {}, -1]", sign(16) * between(17, 0.08, 0.4));
-    add(
-        "laser inclined",
-        other("direction = [0, 0, -1]", lean),
-        &["displaced-along-path", "light-misses-part", "above-range", "below-range"],
-    );
-    let look = format!("look_at_mm = [0, 0, {}]", between(18, 50.0, 90.0));
-    add("camera looks too high", other("look_at_mm = [0, 0, 15]", look), &["below-range"]);
-    let away = format!("look_at_mm = [0, {}, 400]", -between(19, 200.0, 900.0));
-    add("camera looks away", other("look_at_mm = [0, 0, 15]", away), &["camera-looks-away"]);
-    add("no step", other("step_mm = 0.2", "step_mm = 0".to_owned()), &["no-motion"]);
-    let rows = format!("[320, 128]\nread_rows = [{}, 16]", key.bits(20) % 30);
-    add("rows read beside the part", other("[320, 128]", rows), &["above-range", "below-range"]);
-    with_files(&base, &between, all)
+    let cases = of_the_part(&draw, &base).into_iter();
+    let cases = cases.chain(of_the_sensor(&draw, &base));
+    let cases = cases.chain(of_the_path(&draw, &base));
+    let cases = cases.map(|(name, scene, expected)| Mistake {
+        name,
+        scene,
+        files: Vec::new(),
+        expected,
+    });
+    cases.chain(with_files(&base, &draw)).collect()
 }
 
-/// Those with files of their own.
-fn with_files(
-    base: &str,
-    between: &impl Fn(u64, f64, f64) -> f64,
-    mut all: Vec<Mistake>,
-) -> Vec<Mistake> {
-    let length = between(30, 30.0, 400.0);
-    let ys = (0..219).map(|i| (f64::from(i) / 218.0 - 0.5) * length);
-    all.push(Mistake {
-        name: "robot path in metres",
-        scene: with_poses(base),
-        files: vec![("path.csv", passes(&[0.0], ys.clone().map(|y| y * 1e-3)))],
-        expected: &["steps-too-short"],
-    });
+fn of_the_part(draw: &Draw, base: &str) -> Vec<Case> {
+    let too_near: &[&str] = &["above-range", "sensor-inside-part", "sensor-through-part"];
+    let unit = |unit: &str| changed(base, "unit = \"mm\"", &format!("unit = \"{unit}\""));
+    let placed = |x: f64, y: f64, z: f64| {
+        let to = format!("position_mm = [{x}, {y}, {z}]\nreflectance");
+        changed(base, "reflectance", &to)
+    };
+    let x = draw.sign(0) * draw.between(1, 18.0, 45.0);
+    let y = draw.sign(2) * draw.between(3, 8.0, 30.0);
+    let far = draw.sign(6) * draw.between(7, 60.0, 900.0);
+    vec![
+        ("mesh in mm read as inches", unit("inch"), too_near),
+        ("mesh in mm read as cm", unit("cm"), too_near),
+        ("mesh in mm read as metres", unit("m"), &["unit-doubtful"]),
+        (
+            "part displaced along the line",
+            placed(x, 0.0, 0.0),
+            &["displaced-sideways"],
+        ),
+        (
+            "part displaced along the path",
+            placed(0.0, y, 0.0),
+            &["displaced-along-path"],
+        ),
+        (
+            "part too high",
+            placed(0.0, 0.0, draw.between(4, 15.0, 60.0)),
+            &["above-range"],
+        ),
+        (
+            "part too low",
+            placed(0.0, 0.0, -draw.between(5, 20.0, 60.0)),
+            &["below-range"],
+        ),
+        (
+            "part missing: placed elsewhere",
+            placed(0.0, far, 0.0),
+            &["light-misses-part", "light-beside-part"],
+        ),
+    ]
+}
+
+fn of_the_sensor(draw: &Draw, base: &str) -> Vec<Case> {
+    let fine = changed(base, "[320, 128]", "[640, 256]");
+    let fine = changed(&fine, "pixel_pitch_um = 22", "pixel_pitch_um = 11");
+    let focus = |text: &str, to: String| changed(text, "focus_distance_mm = 252", &to);
+    let tilt = draw.between(8, 10.3, 13.0);
+    let tilt = format!("focus_distance_mm = 251.967\ntilt_deg = [{tilt}, 0]");
+    let distance = 252.0 * (1.0 + draw.sign(9) * draw.between(10, 0.2, 0.4));
+    let exposure = |times: f64| {
+        let to = format!("exposure_ms = {}", 0.00375 * times);
+        changed(base, "exposure_ms = 0.00375", &to)
+    };
+    let fan = format!("fan_deg = {}", draw.between(15, 0.3, 0.5));
+    let beam = |to: &str| changed(base, "direction = [0, 0, -1]", &format!("direction = {to}"));
+    let lean = draw.sign(16) * draw.between(17, 0.08, 0.4);
+    let look = |y: f64, z: f64| {
+        let to = format!("look_at_mm = [0, {y}, {z}]");
+        changed(base, "look_at_mm = [0, 0, 15]", &to)
+    };
+    let rows = format!("[320, 128]\nread_rows = [{}, 16]", draw.0.bits(20) % 30);
+    vec![
+        (
+            "Scheimpflug tilt of the wrong sign",
+            focus(&fine, tilt),
+            &["out-of-focus"],
+        ),
+        (
+            "lens focused elsewhere",
+            focus(base, format!("focus_distance_mm = {distance}")),
+            &["out-of-focus"],
+        ),
+        (
+            "exposure too long",
+            exposure(draw.between(13, 12.0, 100.0)),
+            &["saturated"],
+        ),
+        (
+            "exposure too short",
+            exposure(1.0 / draw.between(14, 50.0, 500.0)),
+            &["too-dark"],
+        ),
+        (
+            "fan angle in radians",
+            changed(base, "fan_deg = 24", &fan),
+            &["saturated"],
+        ),
+        ("laser up", beam("[0, 0, 1]"), &["laser-looks-away"]),
+        (
+            "laser inclined",
+            beam(&format!("[0, {lean}, -1]")),
+            &[
+                "displaced-along-path",
+                "light-misses-part",
+                "above-range",
+                "below-range",
+            ],
+        ),
+        (
+            "camera looks too high",
+            look(0.0, draw.between(18, 50.0, 90.0)),
+            &["below-range"],
+        ),
+        (
+            "camera looks away",
+            look(-draw.between(19, 200.0, 900.0), 400.0),
+            &["camera-looks-away"],
+        ),
+        (
+            "rows read outside the part",
+            changed(base, "[320, 128]", &rows),
+            &["above-range", "below-range"],
+        ),
+    ]
+}
+
+fn of_the_path(draw: &Draw, base: &str) -> Vec<Case> {
+    let many = (20e6 * draw.between(11, 0.5, 2.0)) as u64;
+    let many = changed(base, "frames = 219", &format!("frames = {many}"));
+    let rate = draw.between(12, 0.0005, 0.007);
+    let slow = format!("frames = 219\nframe_rate_hz = {rate}");
+    vec![
+        ("20 million frames", many.clone(), &["mostly-outside-part"]),
+        (
+            "20 million steps of nanometres",
+            changed(&many, "step_mm = 0.2", "step_mm = 0.000002"),
+            &["steps-too-short"],
+        ),
+        (
+            "frame rate in kHz read as Hz",
+            changed(base, "frames = 219", &slow),
+            &["long-path"],
+        ),
+        (
+            "no step",
+            changed(base, "step_mm = 0.2", "step_mm = 0"),
+            &["no-motion"],
+        ),
+    ]
+}
+
+/// Mistakes in other files than the scene.
+fn with_files(base: &str, draw: &Draw) -> Vec<Mistake> {
+    let length = draw.between(30, 30.0, 400.0);
+    let metres = (0..219).map(|i| (f64::from(i) / 218.0 - 0.5) * length * 1e-3);
     let (before, after) = base.split_once("mesh = {").unwrap();
     let (_, after) = after.split_once('}').unwrap();
-    let plane = format!("{before}plane = {{ size_mm = [250, 40] }}\nposition_mm = [0, 0, 15]{after}");
-    let apart = between(31, 62.0, 90.0);
-    let xs = [-1.0, 0.0, 1.0].map(|i| i * apart);
-    all.push(Mistake {
-        name: "passes too far apart",
-        scene: with_poses(&plane),
-        files: vec![("path.csv", passes(&xs, (0..41).map(|i| f64::from(i) - 20.0)))],
-        expected: &["passes-too-far-apart"],
-    });
-    let size = [60.0, 40.0, 30.0].map(|mm| mm * 1e-3 * between(32, 0.7, 1.3));
+    let plane =
+        format!("{before}plane = {{ size_mm = [250, 40] }}\nposition_mm = [0, 0, 15]{after}");
+    let apart = draw.between(31, 62.0, 90.0);
+    let rows = (0..41).map(|i| f64::from(i) - 20.0);
+    let size = [60.0, 40.0, 30.0].map(|mm| mm * 1e-3 * draw.between(32, 0.7, 1.3));
     let mesh = format!("{before}mesh = {{ file = \"part.obj\", unit = \"mm\" }}{after}");
-    all.push(Mistake {
-        name: "mesh in metres read as mm",
-        scene: mesh,
-        files: vec![("part.obj", box_obj(size))],
-        expected: &["unit-doubtful"],
-    });
-    all
+    vec![
+        Mistake {
+            name: "robot path in metres",
+            scene: with_poses(base),
+            files: vec![("path.csv", passes(&[0.0], metres))],
+            expected: &["steps-too-short"],
+        },
+        Mistake {
+            name: "passes too far apart",
+            scene: with_poses(&plane),
+            files: vec![("path.csv", passes(&[-apart, 0.0, apart], rows))],
+            expected: &["passes-too-far-apart"],
+        },
+        Mistake {
+            name: "mesh in metres read as mm",
+            scene: mesh,
+            files: vec![("part.obj", box_obj(size))],
+            expected: &["unit-doubtful"],
+        },
+    ]
 }
