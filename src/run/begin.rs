@@ -20,9 +20,9 @@ use std::path::{Path, PathBuf};
 const USED: f64 = 0.9;
 /// Frames of a first scan, unless the part is so small that its steps would be finer than the sensor's columns.
 const FRAMES: f64 = 2000.0;
-/// Ratio of the sizes of part and field above which the assumed unit is doubtful, and below whose inverse it is. With
-/// metres for millimetres a part that fills the field has a ratio of 1000 or 1/1000. The limit is √1000, half way on a
-/// logarithmic scale.
+/// Ratio of the sizes of part and field from which another unit is suggested, as it is below its inverse. A part that
+/// fills the field gets a ratio of 1000 or 1/1000 if metres and millimetres are confused. The limit is √1000, half way
+/// on a logarithmic scale.
 const UNIT_RATIO: f64 = 31.6;
 /// Names of the files in the folder.
 const SCENE: &str = "scene.toml";

@@ -524,9 +524,9 @@ impl Follow<'_> {
         .filter(|line| line.counts.is_finite() && line.widening.is_finite())
     }
 
-    /// Standard deviation of the image of a line of standard deviation `sigma` (px), over the standard deviation at
-    /// the best focus. Variances add: of the line, of a pixel (1/12), of diffraction, and of the defocused pupil, a
-    /// disc of diameter b, b²/16. Diffraction at the f-number N of the image counts as a Gaussian of 0.45·λ·N
+    /// Returns the standard deviation of the image of a line of standard deviation `sigma` (px), over its value at the
+    /// best focus. Four variances add: the line, a pixel (1/12), diffraction, and the defocused pupil, a disc of
+    /// diameter b with variance b²/16. Diffraction at the f-number N of the image counts as a Gaussian of 0.45·λ·N
     /// (Zhang, Zerubia & Olivo-Marin 2007: 0.225·λ/NA).
     fn widening(&self, sigma: f64, in_camera: DVec3) -> Option<f64> {
         let Scene { laser, camera, .. } = self.scene;
