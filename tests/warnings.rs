@@ -455,7 +455,7 @@ fn sound_scenes_of_other_kinds_give_no_warning() {
     let mut rows = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n".to_owned();
     for (i, x) in [-72.0, -24.0, 24.0, 72.0].into_iter().enumerate() {
         for j in -21..=21 {
-            let y = if i % 2 == 0 { j } else { -j };
+            let y = if i.is_multiple_of(2) { j } else { -j };
             rows += &format!("{x},{y},0,0,0,0\n");
         }
     }

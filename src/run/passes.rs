@@ -109,8 +109,8 @@ impl Sheets {
             }
         };
         let of_pass = |pass: &RangeInclusive<u32>| {
-            let last = (pass.clone().count() - 1) % stride != 0;
-            let last = last.then_some(*pass.end());
+            let ends_on_stride = (pass.clone().count() - 1).is_multiple_of(stride);
+            let last = (!ends_on_stride).then_some(*pass.end());
             pass.clone()
                 .step_by(stride)
                 .chain(last)
@@ -149,7 +149,7 @@ mod tests {
             let between = |i: u64, low: f64, high: f64| low + (high - low) * key.uniform(i);
             let (step, count) = (between(0, 0.05, 2.0), 2 + (between(1, 0.0, 4.0) as usize));
             let steps = 30 + between(2, 0.0, 40.0) as usize;
-            let joined = seed % 2 == 0;
+            let joined = seed.is_multiple_of(2);
             let aside = step * (between(3, 15.0, 25.0).floor());
             let (mut positions, mut x) = (Vec::new(), 0.0);
             for pass in 0..count {
