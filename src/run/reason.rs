@@ -464,8 +464,8 @@ impl Reason {
                 short(column_mm * 1e3),
                 match poses {
                     true =>
-                        "Check the unit of scan.poses, which is millimetres: a file in metres has numbers a \
-                             thousandth as large.",
+                        "Check the unit of scan.poses: a file in metres names its columns x_m,y_m,z_m, in its header \
+                             or in scan.poses_columns.",
                     false => "Raise scan.step_mm, which is in millimetres, and lower scan.frames.",
                 }
             ),
