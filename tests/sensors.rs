@@ -298,3 +298,23 @@ fn check_says_what_of_the_part_leaves_the_field() {
     let svg = fs::read_to_string(folder.path().join("out/sensor.svg")).unwrap();
     assert!(svg.contains(">housing<"), "{svg}");
 }
+
+/// `check` of each sensor's file prints what follows from it.
+#[test]
+fn check_of_a_sensor_prints_what_follows() {
+    for file in sensors() {
+        let folder = tempfile::tempdir().unwrap();
+        let (code, page, stderr) = run(folder.path(), &["check", file.to_str().unwrap()]);
+        assert_eq!((code, stderr.as_str()), (0, ""), "{page}");
+        for words in [
+            "The file is a sensor's",
+            "The sensor on a page",
+            "measuring range",
+            "follows from the data sheet",
+            "ASSUMED",
+        ] {
+            assert!(page.contains(words), "{}: {words}: {page}", file.display());
+        }
+        assert!(!page.contains("warning:"), "{page}");
+    }
+}

@@ -1,7 +1,7 @@
 use super::{Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
-use crate::run::{Control, begin};
+use crate::run::{Control, Up, begin, warning_lines};
 use crate::scene::Unit;
 use std::path::PathBuf;
 
@@ -14,6 +14,9 @@ pub struct Arguments {
     /// Unit of the part's file [default: mm, or what the file states]
     #[arg(long, value_enum)]
     unit: Option<Unit>,
+    /// Axis of the part's file that points to the sensor
+    #[arg(long, value_enum, default_value = "z", allow_hyphen_values = true)]
+    up: Up,
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -30,16 +33,18 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
         part,
         sensor,
         unit,
+        up,
         output: folder,
     } = arguments;
-    let begun = begin(part, sensor, *unit, folder, &control);
+    let begun = begin(part, sensor, (*unit, *up), folder, &control);
     building.finish_and_clear();
     let begun = begun?;
     let [x, y, z] = begun.size_mm;
     let [beside, below] = begun.passes;
     let text = format!(
-        "A part of {x:.4} × {y:.4} × {z:.4} mm, seen from +z in {beside} × {below} passes, side by side and one below the other: {} frames, \
+        "{}A part of {x:.4} × {y:.4} × {z:.4} mm, seen from above in {beside} × {below} passes, side by side and one below the other: {} frames, \
          {:.4} mm apart.\nscene:  {}\nLook at it with lasertrace check, and then run lasertrace scan.\n",
+        warning_lines(&begun.warnings),
         begun.frames,
         begun.step_mm,
         path(&begun.scene)

@@ -30,16 +30,20 @@ struct Check<'a> {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    let scene = arguments.scene.load(output)?;
+    let of_sensor = Scene::of_sensor(&arguments.scene.scene)?;
     let building = output.share("prepared");
     let control = Control {
         progress: &|_| {},
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let checked = run::check(&scene, &control)?;
+    let is_sensor = of_sensor.is_some();
+    let checked = match of_sensor {
+        Some(scene) => run::check_sensor(arguments.scene.changed(scene), &control)?,
+        None => run::check(&arguments.scene.load(output)?, &control)?,
+    };
     let check = Check {
-        mesh: mesh::report(&scene.mesh),
+        mesh: mesh::report(&checked.scene.mesh),
         scene: &checked.scene.clone(),
         checked,
     };
@@ -47,5 +51,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         run::draw_sensor(&check.checked, out)?;
     }
     run::refuse(&check.checked.warnings, arguments.strict)?;
-    output.result(&check, &run::check_text(&check.checked))
+    let text = match is_sensor {
+        true => run::sensor_text(&check.checked),
+        false => run::check_text(&check.checked),
+    };
+    output.result(&check, &text)
 }

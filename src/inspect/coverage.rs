@@ -13,10 +13,10 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fate {
-    /// A point was found there.
+    /// A valid point was found there.
     Measured,
-    /// Lit and in view, but no point was found there: too dark, at grazing light
-    /// for one.
+    /// Lit and in view, but no valid point was found there: too dark, at grazing light
+    /// for one, or saturated.
     WeakSignal,
     /// Lit, but something is between it and the camera, or it faces away.
     HiddenFromCamera,
@@ -69,7 +69,7 @@ pub struct SurfaceCoverage {
     pub area_mm2: f64,
     /// Share of the area for each fate; their sum is 1.
     pub shares: Vec<(Fate, f64)>,
-    /// Points on a square millimetre of what was measured.
+    /// Valid points per square millimetre of the measured surface.
     pub points_per_mm2: Option<f64>,
     /// Places that were looked at, spread evenly over the area: a share p is good
     /// to about √(p(1 − p)/samples).
@@ -108,10 +108,15 @@ pub fn coverage(scanned: &Scanned) -> Option<SurfaceCoverage> {
         n as f64 / samples as f64
     };
     let measured = places.area * share(Fate::Measured);
+    let valid = scanned
+        .points
+        .iter()
+        .filter(|point| point.is_valid())
+        .count();
     Some(SurfaceCoverage {
         area_mm2: places.area,
         shares: Fate::ALL.iter().map(|&fate| (fate, share(fate))).collect(),
-        points_per_mm2: (measured > 0.0).then(|| scanned.points.len() as f64 / measured),
+        points_per_mm2: (measured > 0.0).then(|| valid as f64 / measured),
         samples,
         places: places_with_fate,
     })
@@ -240,8 +245,7 @@ impl Scanned<'_> {
         Ray::between(from, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0)
     }
 
-    /// Whether the frame or its neighbours have a point near `p` in or beside the
-    /// column.
+    /// Whether the frame or its neighbours have a valid point near `p`, in its column or the next ones.
     fn has_point(&self, p: DVec3, frame: usize, column: f64, radius: f64) -> bool {
         let first_column = (column - 1.5).floor().max(0.0) as u32;
         let frame = self.first_frame as usize + frame;
@@ -252,7 +256,7 @@ impl Scanned<'_> {
             self.points[from..]
                 .iter()
                 .take_while(|q| q.frame as usize == frame && q.column <= first_column + 4)
-                .any(|q| q.position.distance(p) <= radius)
+                .any(|q| q.is_valid() && q.position.distance(p) <= radius)
         })
     }
 }

@@ -452,6 +452,16 @@ fn data(
     Ok(bytes)
 }
 
+/// The files of buffers that a glTF file in JSON names, relative to its folder.
+pub fn buffer_files(text: &[u8]) -> Vec<String> {
+    let document: serde_json::Value = serde_json::from_slice(text).unwrap_or_default();
+    let buffers = document["buffers"].as_array();
+    let uris = buffers.into_iter().flatten();
+    let uris = uris.filter_map(|buffer| buffer["uri"].as_str());
+    let files = uris.filter(|uri| !uri.starts_with("data:"));
+    files.filter_map(beside).collect()
+}
+
 /// A relative path without `..`, whose %20 is a blank.
 fn beside(uri: &str) -> Option<String> {
     let mut pieces = uri.split('%');

@@ -200,6 +200,15 @@ fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec
     Ok(bytes)
 }
 
+/// The files that a mesh file needs in its folder or below it, relative to the folder: the buffers of glTF.
+#[doc(hidden)]
+pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<String>, Error> {
+    Ok(match sniff::format(path, bytes)? {
+        sniff::Format::Gltf => gltf::buffer_files(bytes),
+        _ => Vec::new(),
+    })
+}
+
 /// `load` for bytes already in memory; `path` names them in errors, and a glTF file's buffers are
 /// beside it.
 pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {

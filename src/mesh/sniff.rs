@@ -23,6 +23,8 @@ pub enum Format {
 const PROBE: usize = 1024;
 
 const TESSELLATED: &str = "its surface as triangles, exported as STL, OBJ, PLY, glTF or 3MF";
+const CONVERTED: &str = "its surface as triangles: `examples/step/step.sh PART.stp PART.stl 5` converts it to an STL in \
+                         mm, within 5 µm";
 const UNPACKED: &str = "an STL, OBJ, PLY, glTF or 3MF mesh, unpacked";
 const PLAIN_TEXT: &str = "ASCII or UTF-8 text";
 
@@ -36,7 +38,7 @@ const STRANGERS: [(&[u8], &str, &str); 17] = [
     ),
     (b"<!doctype html", "an HTML page", EXPECTED),
     (b"<html", "an HTML page", EXPECTED),
-    (b"iso-10303-21", "a STEP file", TESSELLATED),
+    (b"iso-10303-21", "a STEP file", CONVERTED),
     (b"\xff\xfe", "UTF-16 text", PLAIN_TEXT),
     (b"\xfe\xff", "UTF-16 text", PLAIN_TEXT),
     (b"off", "an OFF mesh", TESSELLATED),

@@ -165,10 +165,10 @@ fn area_bar(name: &str, area: &AreaFractions) -> String {
 /// What a fate is called, and what it means.
 fn explained(fate: Fate) -> (&'static str, &'static str) {
     match fate {
-        Fate::Measured => ("measured", "a point lies within two point spacings"),
+        Fate::Measured => ("measured", "a valid point lies within two point spacings"),
         Fate::WeakSignal => (
             "weak signal",
-            "lit and in view, but no line was found: too dark, or at grazing light",
+            "lit and in view, but without a valid point: too dark, saturated, or at grazing light",
         ),
         Fate::HiddenFromCamera => (
             "hidden from the camera",

@@ -1,21 +1,72 @@
-//! A first scene of a part under a sensor: the part as its file has it, and passes that bring all of it into the measuring range.
+//! A first scene of a part under a sensor, in a folder with all the files it needs. The path consists of passes that
+//! bring all of the part into the measuring range.
 
 use super::ready::hierarchy_watched;
+use super::reason::{Reason, Warning};
 use super::sensor_figures::SensorFigures;
+use super::simulation::Simulation;
+use super::warnings::{Foreseen, foreseen_of, unit_doubtful};
 use super::{Control, files};
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
-use crate::mesh::{UnitBy, unit_by};
+use crate::mesh::{self, UnitBy, unit_by};
 use crate::scene::{Scene, Unit};
 use glam::DQuat;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Share of the measuring range and of the field that passes use: what is left overlaps.
+/// Fraction of the measuring range and of the field that passes use. The rest overlaps.
 const USED: f64 = 0.9;
 /// Frames of a first scan, unless the part is so small that its steps would be finer than the sensor's columns.
 const FRAMES: f64 = 2000.0;
+/// Ratio of the sizes of part and field from which another unit is suggested, as it is below its inverse. A part that
+/// fills the field gets a ratio of 1000 or 1/1000 if metres and millimetres are confused. The limit is √1000, half way
+/// on a logarithmic scale.
+const UNIT_RATIO: f64 = 31.6;
+/// Names of the files in the folder.
+const SCENE: &str = "scene.toml";
+const PATH: &str = "path.csv";
+const SENSOR: &str = "sensor.toml";
+
+/// Axis of the part's file that points up, towards the sensor.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum Up {
+    /// +x.
+    #[cfg_attr(feature = "cli", value(name = "x"))]
+    X,
+    /// −x.
+    #[cfg_attr(feature = "cli", value(name = "-x"))]
+    MinusX,
+    /// +y.
+    #[cfg_attr(feature = "cli", value(name = "y"))]
+    Y,
+    /// −y.
+    #[cfg_attr(feature = "cli", value(name = "-y"))]
+    MinusY,
+    /// +z.
+    #[default]
+    #[cfg_attr(feature = "cli", value(name = "z"))]
+    Z,
+    /// −z.
+    #[cfg_attr(feature = "cli", value(name = "-z"))]
+    MinusZ,
+}
+
+impl Up {
+    /// Rotation about x, y and z that turns the axis up, degrees.
+    fn rotation_deg(self) -> [i32; 3] {
+        match self {
+            Up::X => [0, -90, 0],
+            Up::MinusX => [0, 90, 0],
+            Up::Y => [90, 0, 0],
+            Up::MinusY => [-90, 0, 0],
+            Up::Z => [0, 0, 0],
+            Up::MinusZ => [180, 0, 0],
+        }
+    }
+}
 
 /// What was made.
 #[derive(Debug, Clone, Serialize)]
@@ -24,88 +75,177 @@ pub struct Begun {
     pub scene: PathBuf,
     /// Of its path.
     pub frames: usize,
-    /// How many ways along the part lie side by side, and how many layers of these one below the other.
+    /// Number of passes side by side, and of their layers one below the other.
     pub passes: [usize; 2],
-    /// Of the part, mm.
+    /// Size of the part as it is turned, mm.
     pub size_mm: [f64; 3],
     /// From one frame to the next, mm.
     pub step_mm: f64,
+    /// Warnings of the scene's path, and of a unit or a range that does not fit the part.
+    pub warnings: Vec<Warning>,
 }
 
-/// Writes `scene.toml` and the poses of its path, `path.csv`, to a folder. The sensor looks down along the part's z axis with its line
-/// along x, and moves along y. `unit` is that of the part's file; `None`: mm, or what the file states.
+/// Writes a scene (`scene.toml`), the poses of its path (`path.csv`), and copies of the part's file and of the
+/// sensor's (`sensor.toml`) to a folder, which can then be moved anywhere. The sensor looks down at the part, whose
+/// axis `up` points to it, with its line along x, and moves along y. `unit` is the unit of the part's file. With
+/// `None` it is the unit that the file states, or mm.
 ///
 /// # Errors
-/// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that is there already.
+/// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that exists
+/// already.
 pub fn begin(
     part: &Path,
     sensor: &Path,
-    unit: Option<Unit>,
+    (unit, up): (Option<Unit>, Up),
     out: &Path,
     control: &Control,
 ) -> Result<Begun> {
-    let [part, sensor] = [part, sensor].map(|path| {
-        let whole = path.canonicalize().map_err(Error::io("read", path))?;
-        let text = whole.to_str().map(str::to_owned);
-        text.ok_or_else(|| {
-            Error::Usage(format!(
-                "{}: a scene names files in UTF-8",
-                printable::path(&whole)
-            ))
-        })
-    });
-    let (part, sensor) = (part?, sensor?);
-    let file = Path::new(&part);
-    let bytes = std::fs::read(file).map_err(Error::io("read", file))?;
-    let unit = unit.or(match unit_by(file, &bytes)? {
+    let copies = Copies::of(part, sensor, control)?;
+    let chosen = unit.or(match unit_by(part, &copies.part)? {
         UnitBy::User => Some(Unit::Millimetre),
         UnitBy::Metres | UnitBy::File => None,
     });
-    let unit = unit.map_or(String::new(), |unit| format!(", unit = \"{unit}\""));
-    let quoted = |text: String| toml::Value::String(text).to_string();
-    let text = format!(
-        "seed = 1\nspeckle = true\nsensor = {}\n\n[part]\nmesh = {{ file = {}{unit} }}\nreflectance = 0.5\n\n[scan]\n",
-        quoted(sensor),
-        quoted(part)
+    let turned = match up {
+        Up::Z => String::new(),
+        up => format!("rotation_deg = {:?}\n", up.rotation_deg()),
+    };
+    let unit_key = chosen.map_or(String::new(), |unit| format!(", unit = \"{unit}\""));
+    let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
+    let text = |sensor: &str, part: &str| {
+        format!(
+            "seed = 1\nspeckle = true\nsensor = {}\n\n[part]\nmesh = {{ file = {}{unit_key} }}\n{turned}\
+             reflectance = 0.5\n\n[scan]\n",
+            quoted(sensor),
+            quoted(part)
+        )
+    };
+    let at_rest = format!(
+        "{}frames = 1\nstep_mm = 0\ndirection = [0, 1, 0]\n",
+        text(&whole(sensor)?, &whole(part)?)
     );
-    let at_rest = format!("{text}frames = 1\nstep_mm = 0\ndirection = [0, 1, 0]\n");
     let scene = Scene::parse(&at_rest, Path::new(""))?;
-    let figures = {
+    let (figures, accel) = {
         let (scene, accel) = hierarchy_watched(&scene, control)?;
-        SensorFigures::of_sensor(&scene, &accel)
+        (SensorFigures::of_sensor(&scene, &accel), accel)
     };
     let figures = figures.ok_or_else(|| {
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
     })?;
-    let path = Passes::over(&scene, &figures);
-    let file = out.join("scene.toml");
-    if file.exists() {
-        return Err(Error::Usage(format!(
-            "{} is there already: name another folder",
-            printable::path(&file)
-        )));
-    }
-    files::create_folder(out)?;
-    files::write_bytes(&out.join("path.csv"), path.csv().as_bytes())?;
-    files::write_bytes(&file, format!("{text}poses = \"path.csv\"\n").as_bytes())?;
+    let path = ScanPasses::over(&scene, &figures);
+    copies.write(out)?;
+    files::write_bytes(&out.join(PATH), path.csv().as_bytes())?;
+    let file = out.join(SCENE);
+    let text = format!("{}poses = {}\n", text(SENSOR, &copies.name), quoted(PATH));
+    files::write_bytes(&file, text.as_bytes())?;
+    // The path over the part, without images.
+    let written = Scene::load_watched(&file, &|_| control.check())?;
+    let frames = 0..written.scan.frames;
+    let simulation = Simulation::of_geometry(&written, accel)?;
+    let Foreseen { warnings, .. } = foreseen_of(&simulation, frames);
+    let accel = &simulation.accel;
+    let width = figures.width_at_center().filter(|_| unit.is_none());
+    let doubtful = width.and_then(|mm| unit_doubtful(&scene, accel, mm, UNIT_RATIO));
+    let is_unit = |warning: &Warning| matches!(warning.reason, Reason::UnitDoubtful { .. });
+    let foreseen = warnings
+        .into_iter()
+        .filter(|warning| doubtful.is_none() || !is_unit(warning));
+    let of_part = doubtful
+        .iter()
+        .cloned()
+        .chain(path.deeper_than_range(&figures));
     Ok(Begun {
         scene: file,
         frames: path.frames(),
         passes: path.passes,
-        size_mm: scene.bounds().size().to_array(),
+        size_mm: path.size.to_array(),
         step_mm: path.step,
+        warnings: of_part.map(Warning::from).chain(foreseen).collect(),
+    })
+}
+
+/// The files that the folder gets copies of.
+struct Copies {
+    /// Name of the part's file.
+    name: String,
+    part: Vec<u8>,
+    sensor: Vec<u8>,
+    /// Files that the part's file needs in its folder, by their relative path.
+    needed: Vec<(String, Vec<u8>)>,
+}
+
+impl Copies {
+    fn of(part: &Path, sensor: &Path, control: &Control) -> Result<Copies> {
+        let read = |path: &Path| mesh::read(path, &|_| control.check());
+        let bytes = read(part)?;
+        let names = mesh::files_needed(part, &bytes)?;
+        let folder = part.parent().unwrap_or(Path::new(""));
+        let needed = names.into_iter().map(|name| {
+            let bytes = read(&folder.join(&name))?;
+            Ok((name, bytes))
+        });
+        let name = part.file_name().and_then(|name| name.to_str());
+        let name = name.filter(|name| ![SCENE, PATH, SENSOR].contains(name));
+        let name = name.map(str::to_owned).ok_or_else(|| {
+            Error::Usage(format!(
+                "{}: the part's file is copied under its name, expected a name in UTF-8 other than {SCENE}, {PATH} \
+                 and {SENSOR}",
+                printable::path(part)
+            ))
+        })?;
+        Ok(Copies {
+            name,
+            part: bytes,
+            sensor: files::read_regular(sensor, "the file of a sensor (TOML)")?,
+            needed: needed.collect::<Result<_>>()?,
+        })
+    }
+
+    /// Errors: one of the folder's files exists already.
+    fn write(&self, out: &Path) -> Result<()> {
+        let needed = self.needed.iter().map(|(name, _)| name.as_str());
+        for name in [SCENE, PATH, SENSOR, &self.name].into_iter().chain(needed) {
+            let file = out.join(name);
+            if file.exists() {
+                return Err(Error::Usage(format!(
+                    "{} is there already: name another folder",
+                    printable::path(&file)
+                )));
+            }
+        }
+        files::create_folder(out)?;
+        for (name, bytes) in &self.needed {
+            let file = out.join(name);
+            files::create_folder(file.parent().unwrap_or(out))?;
+            files::write_bytes(&file, bytes)?;
+        }
+        files::write_bytes(&out.join(&self.name), &self.part)?;
+        files::write_bytes(&out.join(SENSOR), &self.sensor)
+    }
+}
+
+/// The absolute path of a file.
+fn whole(path: &Path) -> Result<String> {
+    let whole = path.canonicalize().map_err(Error::io("read", path))?;
+    let text = whole.to_str().map(str::to_owned);
+    text.ok_or_else(|| {
+        Error::Usage(format!(
+            "{}: a scene names files in UTF-8",
+            printable::path(&whole)
+        ))
     })
 }
 
 /// Ways along y over a part, side by side and one below the other.
-struct Passes {
+struct ScanPasses {
     passes: [usize; 2],
+    /// Size of the part in the world, mm.
+    size: DVec3,
     /// Frames of a pass.
     steps: usize,
     step: f64,
-    /// Of the first pass's middle: where the middle of the measuring range is, mm.
+    /// Centre of the measuring range in the first frame, mm.
     first: DVec3,
-    /// From one pass to the next beside it, and to that below.
+    /// From one pass to the next at its side, and to the layer below.
     aside: f64,
     below: f64,
     rotation: DMat3,
@@ -113,9 +253,9 @@ struct Passes {
     in_head: DVec3,
 }
 
-impl Passes {
-    fn over(scene: &Scene, figures: &SensorFigures) -> Passes {
-        let part = scene.bounds();
+impl ScanPasses {
+    fn over(scene: &Scene, figures: &SensorFigures) -> ScanPasses {
+        let part = scene.bounds().moved(&scene.part_at_rest);
         let (size, center) = (part.size(), part.center());
         let [near, far] = figures.ends();
         let fields = figures.places.iter().map(|place| place.field_mm);
@@ -130,15 +270,16 @@ impl Passes {
         let of_range = DVec3::new((narrowest[0] + narrowest[1]) / 2.0, 0.0, (near + far) / 2.0);
         // The beam goes down, the line along x.
         let world_from_laser = DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z);
-        // Spread evenly, a single one in the middle.
+        // Uniformly over the part; a single pass at its centre.
         let first = center
             + DVec3::new(
                 -(beside - 1.0) / 2.0 * size.x / beside,
                 -size.y / 2.0,
                 (below - 1.0) / 2.0 * size.z / below,
             );
-        Passes {
+        ScanPasses {
             passes: [beside as usize, below as usize],
+            size,
             steps: (size.y / step).floor() as usize + 1,
             step,
             first,
@@ -147,6 +288,18 @@ impl Passes {
             rotation: world_from_laser * scene.head_from_laser.rotation.transpose(),
             in_head: scene.head_from_laser.point(of_range),
         }
+    }
+
+    /// The warning of a part that takes several layers.
+    fn deeper_than_range(&self, figures: &SensorFigures) -> Option<Reason> {
+        let [near, far] = figures.ends();
+        let layers = self.passes[1];
+        (layers > 1).then(|| Reason::DeeperThanRange {
+            part_mm: self.size.z,
+            range_mm: far - near,
+            layers,
+            lowered_mm: self.below * (layers - 1) as f64,
+        })
     }
 
     fn frames(&self) -> usize {

@@ -1,5 +1,6 @@
 //! What can be said of a scene before a scan.
 
+use super::assessment::Assessment;
 use super::files;
 use super::forecast::{Forecast, forecast_of};
 use super::ready;
@@ -7,9 +8,11 @@ use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
 use super::sensor_figures::{Cuts, SensorFigures, cuts};
 use super::simulation::Simulation;
-use super::warnings::{Foreseen, foreseen_of};
+use super::warnings::{Foreseen, foreseen_of, of_the_forecast};
 use super::{Control, Coverage};
 use crate::error::{Error, Result};
+#[cfg(feature = "cli")]
+use crate::math::{DMat3, DVec3, Rigid};
 use crate::plan::rules::Plan;
 use crate::scene::Scene;
 use serde::Serialize;
@@ -28,6 +31,8 @@ pub struct Checked {
     pub forecast: Forecast,
     /// `null` if the camera sees nothing of the laser's light.
     pub sensor: Option<SensorFigures>,
+    /// Fractions of surface and light, and the path.
+    pub assessment: Assessment,
     /// The part in the light.
     #[serde(skip)]
     pub cuts: Cuts,
@@ -45,6 +50,29 @@ pub fn check(scene: &Scene, control: &Control) -> Result<Checked> {
     check_ready(&simulation, start.elapsed().as_secs_f64(), control)
 }
 
+/// Checks the scene of a sensor's file ([`Scene::of_sensor`]). Its plane is placed at the centre of the measuring
+/// range, perpendicular to the beam.
+///
+/// # Errors
+/// As [`check`].
+#[cfg(feature = "cli")]
+pub fn check_sensor(mut scene: Scene, control: &Control) -> Result<Checked> {
+    let figures = {
+        let (scene, accel) = ready::hierarchy_watched(&scene, control)?;
+        SensorFigures::of_sensor(&scene, &accel)
+    };
+    if let Some(figures) = figures {
+        let [near, far] = figures.ends();
+        let world_from_laser = scene.world_from_head(0) * scene.head_from_laser;
+        scene.part_at_rest = Rigid {
+            // The plane faces the laser.
+            rotation: world_from_laser.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+            translation: world_from_laser.point(DVec3::Z * ((near + far) / 2.0)),
+        };
+    }
+    check(&scene, control)
+}
+
 /// The same of a simulation that took `preparing` seconds to make.
 pub(crate) fn check_ready(
     simulation: &Simulation,
@@ -53,12 +81,18 @@ pub(crate) fn check_ready(
 ) -> Result<Checked> {
     let frames = 0..simulation.scene.scan.frames;
     let forecast = forecast_of(simulation, &frames, preparing, control)?;
-    let Foreseen { sensor, warnings } = foreseen_of(simulation, frames);
+    let Foreseen {
+        sensor,
+        assessment,
+        mut warnings,
+    } = foreseen_of(simulation, frames);
+    warnings.extend(of_the_forecast(&simulation.scene, &forecast));
     Ok(Checked {
         scene: simulation.scene.clone(),
         plan: simulation.plan.clone(),
         forecast,
         sensor,
+        assessment,
         cuts: cuts(&simulation.scene, &simulation.accel),
         warnings,
     })

@@ -1,5 +1,6 @@
 //! What `check` says of a scene, as a page of text.
 
+use super::assessment::{Assessment, LightFractions};
 use super::check::Checked;
 use super::forecast::Forecast;
 use super::reason::Warning;
@@ -35,6 +36,11 @@ pub fn check_text(checked: &Checked) -> String {
     let _ = write!(text, "\nScan\n{}", path(scene));
     let _ = write!(
         text,
+        "\nMeasured on this path\n{}",
+        measured(&checked.assessment)
+    );
+    let _ = write!(
+        text,
         "\nThe whole scan, about\n{}",
         whole_scan(&checked.forecast)
     );
@@ -53,6 +59,21 @@ pub fn check_text(checked: &Checked) -> String {
             ),
         );
     }
+    text + &sheet(checked.sensor.as_ref(), scene)
+        + &from_data_sheet(scene)
+        + &scheimpflug(scene, &checked.plan)
+}
+
+/// The text of a sensor's file: the properties that follow from it.
+pub fn sensor_text(checked: &Checked) -> String {
+    let scene = &checked.scene;
+    let mut text = format!(
+        "{}\n\nThe file is a sensor's. Its target here is a diffuse plane of reflectance 0.5 at the centre of the \
+         measuring range.\n",
+        scene.path.display()
+    );
+    text += &warning_lines(&checked.warnings);
+    let _ = write!(text, "\nSensor\n{}", sensor(scene, checked));
     text + &sheet(checked.sensor.as_ref(), scene)
         + &from_data_sheet(scene)
         + &scheimpflug(scene, &checked.plan)
@@ -204,6 +225,83 @@ fn path(scene: &Scene) -> String {
     line("frames", &scan.frames.to_string())
         + &line("path", &path)
         + &line("seed", &scene.seed.to_string())
+}
+
+/// The assessment that the warnings follow from.
+fn measured(assessment: &Assessment) -> String {
+    let percent = |fraction: f64| format!("{} %", short(100.0 * fraction));
+    let mut text = String::new();
+    text += &match &assessment.light {
+        None => line("light", "none in the field"),
+        Some(light) => line("light", &of_light(light)),
+    };
+    if let Some(surface) = &assessment.surface {
+        let measurable = format!(
+            "{} of the part's surface, seen from the sensor as it is turned on this path",
+            percent(surface.measurable)
+        );
+        text += &line("measurable", &measurable);
+        let measured = format!(
+            "{} of the measurable surface gives valid points; {} is in the field, {} beside it, {} is never passed",
+            percent(surface.measured),
+            percent(surface.in_field),
+            percent(surface.beside_field),
+            percent(surface.not_passed)
+        );
+        text += &line("surface", &measured);
+    }
+    let path = &assessment.path;
+    let passes = match path.passes {
+        1 => "one pass".to_owned(),
+        n => format!("{n} passes"),
+    };
+    let travel = path
+        .travel_mm
+        .map_or(String::new(), |mm| format!(", {} mm long", short(mm)));
+    let duration = format!(
+        "{passes}{travel}, {} s at {} Hz; {} of the frames see nothing of the part",
+        short(path.duration_s),
+        short(path.frame_rate_hz),
+        percent(path.empty_frames)
+    );
+    text += &line("passes", &duration);
+    if let Some(gap) = path.gap {
+        let gap = format!(
+            "up to {} mm, where the field is {} mm wide",
+            short(gap.spacing_mm),
+            short(gap.field_mm)
+        );
+        text += &line("pass spacing", &gap);
+    }
+    text
+}
+
+/// Fractions of the light on surface that faces the camera.
+fn of_light(light: &LightFractions) -> String {
+    let percent = |fraction: f64| format!("{} %", short(100.0 * fraction));
+    let losses = [
+        (light.too_near.fraction, "too near"),
+        (light.too_far.fraction, "too far"),
+        (light.occluded.fraction, "occluded"),
+        (light.too_dark.fraction, "too dark"),
+        (light.saturated.fraction, "saturated"),
+        (light.out_of_focus.fraction, "out of focus"),
+    ];
+    let losses = losses.iter().filter(|(fraction, _)| *fraction > 0.0);
+    let losses: Vec<String> = losses
+        .map(|(fraction, cause)| format!("{} {cause}", percent(*fraction)))
+        .collect();
+    let losses = match losses.is_empty() {
+        true => "nothing".to_owned(),
+        false => losses.join(", "),
+    };
+    format!(
+        "{} of it gives valid points; lost: {losses}. Not counted: {} on surface that faces away from the camera, {} \
+         where the part hides it from every position",
+        percent(light.valid),
+        percent(light.facing_away),
+        percent(light.hidden)
+    )
 }
 
 fn effect_lines(effect: &Effect) -> String {

@@ -1,6 +1,7 @@
 //! A scene made ready to run, its frames, and its files: many frames at once, nothing
 //! half-written left behind.
 
+mod assessment;
 mod begin;
 mod check;
 #[cfg(feature = "cli")]
@@ -20,6 +21,7 @@ mod journal;
 pub(crate) mod measure;
 pub(crate) mod methods;
 mod need;
+mod passes;
 pub(crate) mod pilot;
 pub(crate) mod planner;
 #[cfg(feature = "service")]
@@ -43,12 +45,15 @@ mod survey;
 mod sweep;
 mod warnings;
 
-pub use begin::{Begun, begin};
+pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
+pub use begin::{Begun, Up, begin};
+#[cfg(feature = "cli")]
+pub use check::check_sensor;
 pub use check::{Checked, check, draw_sensor};
 #[cfg(feature = "service")]
 pub(crate) use check::{check_ready, drawing};
 #[cfg(feature = "cli")]
-pub use check_text::{check_text, warning_lines};
+pub use check_text::{check_text, sensor_text, warning_lines};
 pub use control::{Control, Coverage};
 pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};

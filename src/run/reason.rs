@@ -35,6 +35,13 @@ pub enum Reason {
         /// Points that carry it.
         flagged: usize,
     },
+    /// Many points are saturated, although this was not foreseen.
+    PointsSaturated {
+        /// Number of points.
+        points: usize,
+        /// Points with the flag saturated.
+        saturated: usize,
+    },
     /// All frames are taken at the same place.
     NoMotion {
         /// Number of frames.
@@ -122,6 +129,97 @@ pub enum Reason {
         /// Share of the light.
         share: f64,
     },
+    /// Most of the lit surface faces away from the camera.
+    FacesAway {
+        /// Fraction of the light.
+        fraction: f64,
+    },
+    /// The line in the image is much wider than at the best focus.
+    OutOfFocus {
+        /// Fraction of the light.
+        fraction: f64,
+        /// The largest width, over the width at the best focus.
+        times: f64,
+        /// Accepted width, over the width at the best focus.
+        limit: f64,
+    },
+    /// Several causes together leave surface within the field without valid points.
+    SurfaceNotMeasured {
+        /// Fraction of the surface within the field.
+        fraction: f64,
+    },
+    /// The field passes to the side of the part while surface on its other side is outside the field.
+    DisplacedSideways {
+        /// Fraction of the field that passes outside the part.
+        field: f64,
+        /// Fraction of the measurable surface outside the field.
+        missed: f64,
+    },
+    /// The path runs outside the part while part of its length is never passed.
+    DisplacedAlongPath {
+        /// Fraction of the frames that see nothing of the part.
+        frames: f64,
+        /// Fraction of the measurable surface that is never passed.
+        missed: f64,
+    },
+    /// Most frames see nothing of the part.
+    MostlyOutsidePart {
+        /// Fraction of the frames.
+        frames: f64,
+        /// Length of the path, mm; `None` for a rotary table.
+        travel_mm: Option<f64>,
+    },
+    /// Neighbouring passes leave surface between them that neither measures.
+    PassesTooFarApart {
+        /// Distance between the passes, mm.
+        spacing_mm: f64,
+        /// Width of the field where the part is nearest to the laser, mm.
+        field_mm: f64,
+        /// The largest accepted spacing, mm.
+        limit_mm: f64,
+    },
+    /// The part is higher than the measuring range, so that it is measured in layers.
+    DeeperThanRange {
+        /// Height of the part along the beam.
+        part_mm: f64,
+        /// Depth of the measuring range.
+        range_mm: f64,
+        /// Number of layers.
+        layers: usize,
+        /// Distance of the lowest layer from the highest.
+        lowered_mm: f64,
+    },
+    /// The path takes long at its frame rate.
+    LongPath {
+        /// Duration, h.
+        hours: f64,
+        /// Number of frames.
+        frames: usize,
+        /// Frames per second.
+        rate_hz: f64,
+        /// Accepted duration, h.
+        limit_h: f64,
+    },
+    /// The simulation of the path takes long on this machine.
+    LongSimulation {
+        /// Forecast, h.
+        hours: f64,
+        /// Number of frames.
+        frames: usize,
+        /// Accepted duration, h.
+        limit_h: f64,
+    },
+    /// Steps far shorter than the distance between columns.
+    StepsTooShort {
+        /// Median step from frame to frame, mm.
+        step_mm: f64,
+        /// Distance between columns, mm.
+        column_mm: f64,
+        /// Length of the path, mm.
+        travel_mm: f64,
+        /// Whether the poses are read from a file.
+        poses: bool,
+    },
     /// Expected counts above black in the middle of the line, at the most.
     TooDark {
         /// Share of the light.
@@ -159,7 +257,11 @@ fn times(ratio: f64) -> String {
 
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let text = self.of_the_result().or_else(|| self.of_the_setup());
+        let text = self
+            .of_the_result()
+            .or_else(|| self.of_the_setup())
+            .or_else(|| self.of_the_path())
+            .or_else(|| self.of_the_duration());
         f.write_str(&text.unwrap_or_else(|| self.of_the_light()))
     }
 }
@@ -178,6 +280,10 @@ impl Reason {
             } => format!(
                 "None of the {points} points is valid: each has a flag, most of them ({flagged}) \
                  the flag {flag}: {meaning}."
+            ),
+            Reason::PointsSaturated { points, saturated } => format!(
+                "{saturated} of the {points} points are saturated and not valid. Lower camera.exposure_ms or \
+                 laser.power_mw, or take several exposures (camera.exposures_ms)."
             ),
             Reason::ReflectionsNoisy { times } => format!(
                 "Light that is reflected more than once is followed by as many paths as are allowed, and their noise \
@@ -258,6 +364,115 @@ impl Reason {
         })
     }
 
+    /// The path over the part.
+    fn of_the_path(&self) -> Option<String> {
+        let percent = |fraction: f64| short(100.0 * fraction);
+        Some(match self {
+            Reason::DisplacedSideways { field, missed } => format!(
+                "{} % of the field passes to the side of the part, while {} % of the surface that the sensor could \
+                 measure is outside the field on the other side. Move the path across its direction of travel: change \
+                 scan.start_mm, scan.poses or part.position_mm.",
+                percent(*field),
+                percent(*missed)
+            ),
+            Reason::DisplacedAlongPath { frames, missed } => format!(
+                "{} % of the frames see nothing of the part, while the laser plane never passes {} % of the surface \
+                 that the sensor could measure. Move the path along its direction of travel, or extend it: change \
+                 scan.start_mm, scan.poses or part.position_mm.",
+                percent(*frames),
+                percent(*missed)
+            ),
+            Reason::MostlyOutsidePart { frames, travel_mm } => format!(
+                "{} % of the frames see nothing of the part{}. Shorten the path to the part: lower scan.frames or \
+                 scan.step_mm, or remove the frames from scan.poses.",
+                percent(*frames),
+                travel_mm.map_or(String::new(), |mm| format!(
+                    ": the path is {} mm long",
+                    short(mm)
+                ))
+            ),
+            Reason::PassesTooFarApart {
+                spacing_mm,
+                field_mm,
+                limit_mm,
+            } => format!(
+                "Neighbouring passes are {} mm apart, and the field is {} mm wide at the top of the part: surface \
+                 between them is not measured. Lower the distance between passes to {} mm or less, or turn to a \
+                 sensor with a wider field.",
+                short(*spacing_mm),
+                short(*field_mm),
+                short(*limit_mm)
+            ),
+            Reason::SurfaceNotMeasured { fraction } => format!(
+                "{} % of the surface in the field gives no valid points, by several causes together; `check` lists \
+                 them. Change the exposure, the focus, or the positions of sensor and part.",
+                percent(*fraction)
+            ),
+            _ => return None,
+        })
+    }
+
+    /// The length of the path and its steps.
+    fn of_the_duration(&self) -> Option<String> {
+        Some(match self {
+            Reason::DeeperThanRange {
+                part_mm,
+                range_mm,
+                layers,
+                lowered_mm,
+            } => format!(
+                "The part is {} mm high and the measuring range {} mm deep: the path has {layers} layers, and the \
+                 sensor is {} mm lower in the last than in the first, where higher surface may be in its way. Use a \
+                 sensor with a deeper range, turn the part (begin --up), or state housing_mm for `check` to test.",
+                short(*part_mm),
+                short(*range_mm),
+                short(*lowered_mm)
+            ),
+            Reason::LongPath {
+                hours,
+                frames,
+                rate_hz,
+                limit_h,
+            } => format!(
+                "The path takes {} h: {frames} frames at {} Hz, and the limit is {} h (warnings.duration_h). Lower \
+                 scan.frames and raise scan.step_mm, or raise scan.frame_rate_hz.",
+                short(*hours),
+                short(*rate_hz),
+                short(*limit_h)
+            ),
+            Reason::LongSimulation {
+                hours,
+                frames,
+                limit_h,
+            } => format!(
+                "The simulation of {frames} frames takes about {} h on this machine, and the limit is {} h \
+                 (warnings.duration_h). Lower scan.frames and raise scan.step_mm, use plan.geometry_only, or divide \
+                 the frames between machines (scan --shard).",
+                short(*hours),
+                short(*limit_h)
+            ),
+            Reason::StepsTooShort {
+                step_mm,
+                column_mm,
+                travel_mm,
+                poses,
+            } => format!(
+                "The path advances {} µm from frame to frame, {} mm in all, and columns are {} µm apart: the frames \
+                 show almost the same profile. {}",
+                short(step_mm * 1e3),
+                short(*travel_mm),
+                short(column_mm * 1e3),
+                match poses {
+                    true =>
+                        "Check the unit of scan.poses: a file in metres names its columns x_m,y_m,z_m, in its header \
+                             or in scan.poses_columns.",
+                    false => "Raise scan.step_mm, which is in millimetres, and lower scan.frames.",
+                }
+            ),
+            _ => return None,
+        })
+    }
+
     /// What becomes of the light on the part.
     fn of_the_light(&self) -> String {
         let share = match self {
@@ -266,6 +481,7 @@ impl Reason {
             | Reason::HiddenFromCamera { share }
             | Reason::TooDark { share, .. }
             | Reason::Saturated { share, .. } => *share,
+            Reason::FacesAway { fraction } | Reason::OutOfFocus { fraction, .. } => *fraction,
             _ => 1.0,
         };
         let light = match share {
@@ -300,6 +516,31 @@ impl Reason {
             Reason::HiddenFromCamera { .. } => "falls where the part itself hides it from the \
                  camera. Turn the part, or move the camera nearer to the laser."
                 .to_owned(),
+            Reason::FacesAway { .. } => {
+                "falls on surface that faces away from the camera. Turn the part or the \
+                 sensor, or move the camera nearer to the laser."
+                    .to_owned()
+            }
+            _ => self.of_the_image().unwrap_or_else(|| {
+                "falls on the part to the side of what the camera sees. Change the path (scan), \
+                 part.position_mm or camera.look_at_mm."
+                    .to_owned()
+            }),
+        };
+        format!("{light} {rest}")
+    }
+
+    /// The reasons that the image of the line gives no valid points.
+    fn of_the_image(&self) -> Option<String> {
+        Some(match self {
+            Reason::OutOfFocus { times, limit, .. } => format!(
+                "is out of focus: its line in the image is up to {} times as wide as at the best focus, and {} times \
+                 is the limit (warnings.blur). Set camera.focus = \"laser-plane\", which sets \
+                 camera.focus_distance_mm and camera.tilt_deg, or bring the part to the distance in focus; a larger \
+                 camera.f_number helps too.",
+                short(*times),
+                short(*limit)
+            ),
             Reason::TooDark {
                 counts,
                 least_counts,
@@ -315,10 +556,7 @@ impl Reason {
                  Lower camera.exposure_ms or laser.power_mw to 1/{0} of what it is, or less.",
                 short(*times)
             ),
-            _ => "falls on the part to the side of what the camera sees. Change the path (scan), \
-                 part.position_mm or camera.look_at_mm."
-                .to_owned(),
-        };
-        format!("{light} {rest}")
+            _ => return None,
+        })
     }
 }

@@ -325,7 +325,12 @@ fn judge(
     control.check()?;
     let mut summary = summary(scene, frames, (&points, measured), out);
     let Foreseen { warnings, .. } = warnings::foreseen_of(simulation, frames.clone());
-    summary.warnings = warnings::found(&points, frames.len(), &warnings);
+    summary.warnings = warnings::found(
+        &points,
+        frames.len(),
+        &warnings,
+        scene.warnings.lost_fraction,
+    );
     summary.alignment = alignment;
     summary.tolerance = sum_up(&scene.bands, &points, coverage.as_ref());
     summary.accuracy = simulation.plan.accuracy.clone();

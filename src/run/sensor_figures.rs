@@ -85,6 +85,12 @@ impl SensorFigures {
         Some(width(&beside[0]) * (1.0 - share) + width(&beside[1]) * share)
     }
 
+    /// Width of the field at the centre of the measuring range, mm.
+    pub(crate) fn width_at_center(&self) -> Option<f64> {
+        let [near, far] = self.ends();
+        self.field_at((near + far) / 2.0)
+    }
+
     /// Of the sensor, wherever the part is.
     pub(crate) fn of_sensor(scene: &Scene, accel: &Accel) -> Option<SensorFigures> {
         SensorFigures::of(scene, &Survey::of(scene, accel, 0..1))
@@ -140,8 +146,8 @@ impl SensorFigures {
 
 impl PeakCounts {
     pub(crate) fn of(scene: &Scene, survey: &Survey) -> Option<PeakCounts> {
-        let seen = survey.fates.iter().filter_map(|fate| match fate {
-            Fate::Seen(counts) if *counts > 0.0 => Some(*counts),
+        let seen = survey.lit.iter().filter_map(|lit| match lit.fate {
+            Fate::Seen(line) if line.counts > 0.0 => Some(line.counts),
             _ => None,
         });
         let mut seen: Vec<f64> = seen.collect();

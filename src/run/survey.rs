@@ -5,7 +5,7 @@ use crate::accel::{Accel, Hit, Ray, WIDTH};
 use crate::camera::Projector;
 use crate::laser::FanProfile;
 use crate::math::{Aabb, DVec2, DVec3, Rigid};
-use crate::profile::least_height;
+use crate::profile::{WEAK_SNR, least_height};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -31,9 +31,8 @@ const MOST_LOOKED_AT: usize = 100_000;
 /// What a ray of laser light comes to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Fate {
-    /// The camera sees where it ends; expected counts above black in the middle of the
-    /// line there, as if the sensor had no greatest count.
-    Seen(f64),
+    /// The camera sees where it ends.
+    Seen(LineImage),
     /// It ends nearer to the laser than the sensor's first or last row sees the ray, so far,
     /// mm along the beam.
     TooNear(f64),
@@ -41,14 +40,37 @@ pub(crate) enum Fate {
     TooFar(f64),
     /// The camera sees nothing of this ray.
     OutOfView,
+    /// The surface where it ends faces away from the camera.
+    FacesAway,
     /// The part is between where it ends and the camera.
     Hidden,
+}
+
+/// The line at one position of the image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LineImage {
+    /// Expected counts above black at the centre of the line, in focus and as if the sensor had no greatest count.
+    pub counts: f64,
+    /// Standard deviation of the line across its direction, over the standard deviation at the best focus.
+    pub widening: f64,
+}
+
+/// The end of a ray of laser light on the part, in the part's frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LitPoint {
+    pub frame: u32,
+    pub point: DVec3,
+    /// On the side that the ray comes from.
+    pub normal: DVec3,
+    /// The triangle of the mesh.
+    pub triangle: u32,
+    pub fate: Fate,
 }
 
 /// The fates of rays that met the part.
 #[derive(Debug, Default)]
 pub(crate) struct Survey {
-    pub fates: Vec<Fate>,
+    pub lit: Vec<LitPoint>,
     /// `None` if no ray met the part.
     pub in_field: Option<InField>,
     /// `None` if the camera sees nothing of the light, wherever it falls.
@@ -71,21 +93,21 @@ pub struct InField {
 }
 
 impl InField {
-    fn of(by_frame: &[(u32, Vec<Fate>)]) -> Option<InField> {
-        let all = by_frame.iter().map(|(_, fates)| fates.len()).sum::<usize>();
+    fn of(by_frame: &[(u32, Vec<LitPoint>)]) -> Option<InField> {
+        let all = by_frame.iter().map(|(_, lit)| lit.len()).sum::<usize>();
         let share = |of: fn(&Fate) -> bool| {
-            let fates = by_frame.iter().flat_map(|(_, fates)| fates);
-            fates.filter(|fate| of(fate)).count() as f64 / all as f64
+            let lit = by_frame.iter().flat_map(|(_, lit)| lit);
+            lit.filter(|lit| of(&lit.fate)).count() as f64 / all as f64
         };
         let nearer = |fate: &Fate| matches!(fate, Fate::TooNear(_));
         let beyond = |fate: &Fate| matches!(fate, Fate::TooFar(_));
         let beside = |fate: &Fate| matches!(fate, Fate::OutOfView);
-        let outside = by_frame.iter().filter_map(|(frame, fates)| {
+        let outside = by_frame.iter().filter_map(|(frame, lit)| {
+            let fates = lit.iter().map(|lit| lit.fate);
             let count = fates
-                .iter()
                 .filter(|f| nearer(f) || beyond(f) || beside(f))
                 .count();
-            (count > 0).then(|| (*frame, count as f64 / fates.len() as f64))
+            (count > 0).then(|| (*frame, count as f64 / lit.len() as f64))
         });
         (all > 0).then(|| InField {
             nearer: share(nearer),
@@ -109,13 +131,13 @@ pub(crate) enum Miss {
 }
 
 /// A direction of laser light and what of it the camera sees.
-struct Direction {
+pub(crate) struct Direction {
     /// Laser frame, unit.
-    along: DVec3,
+    pub along: DVec3,
     /// Distances along it, mm, that are imaged between the sensor's first row and last.
     in_rows: Option<[f64; 2]>,
     /// Those that are imaged on the sensor.
-    seen: Option<[f64; 2]>,
+    pub seen: Option<[f64; 2]>,
 }
 
 /// Where the part's box is in a frame, laser frame.
@@ -129,41 +151,44 @@ impl Survey {
     pub fn of(scene: &Scene, accel: &Accel, frames: Range<u32>) -> Survey {
         let directions = directions(scene);
         let corners = accel.bounds().corners();
-        let placed = spread(frames.len(), MOST_LOOKED_AT).map(|i| {
-            let frame = frames.start + i as u32;
+        let place = |frame: u32| {
             let laser_from_part = part_from_laser(scene, frame).inverse();
             let part = Aabb::of(corners.map(|corner| laser_from_part.point(corner)));
             Placed { frame, part }
-        });
-        let placed: Vec<Placed> = placed.collect();
+        };
+        let looked_at = spread(frames.len(), MOST_LOOKED_AT);
+        let mut placed: Vec<Placed> = looked_at.map(|i| place(frames.start + i as u32)).collect();
+        if !placed.iter().any(Placed::may_be_lit) {
+            placed = with_crossings(placed, &place);
+        }
         let near: Vec<&Placed> = placed.iter().filter(|p| p.may_be_lit()).collect();
         let chosen: Vec<u32> = spread(near.len(), MOST_FRAMES)
             .map(|i| near[i].frame)
             .collect();
-        let by_frame: Vec<(u32, Vec<Fate>)> = chosen
+        let by_frame: Vec<(u32, Vec<LitPoint>)> = chosen
             .par_iter()
-            .map(|&frame| (frame, fates(scene, accel, frame, &directions)))
+            .map(|&frame| (frame, lit_points(scene, accel, frame, &directions)))
             .collect();
         let in_field = InField::of(&by_frame);
-        let fates: Vec<Fate> = by_frame.into_iter().flat_map(|(_, fates)| fates).collect();
+        let lit: Vec<LitPoint> = by_frame.into_iter().flat_map(|(_, lit)| lit).collect();
         let seen = directions.iter().filter_map(|d| Some((d.along, d.seen?)));
         let range = seen.fold(None, |range: Option<[f64; 2]>, (d, [a, b])| {
             let [low, high] = range.unwrap_or([f64::INFINITY, 0.0]);
             Some([low.min(a * d.z), high.max(b * d.z)])
         });
         Survey {
-            miss: match fates.is_empty() {
+            miss: match lit.is_empty() {
                 true => miss(scene, &placed, !near.is_empty()),
                 false => None,
             },
-            fates,
+            lit,
             in_field,
             range: range.map(|[near_mm, far_mm]| MeasuringRange { near_mm, far_mm }),
         }
     }
 }
 
-fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
+pub(crate) fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
     scene.part_from_head(frame) * scene.head_from_laser
 }
 
@@ -171,6 +196,46 @@ fn part_from_laser(scene: &Scene, frame: u32) -> Rigid {
 pub(crate) fn spread(count: usize, most: usize) -> impl Iterator<Item = usize> {
     let chosen = count.min(most);
     (0..chosen).map(move |i| i * (count - 1) / (chosen - 1).max(1))
+}
+
+/// Crossings of the part that are searched for on a path too long to look at each of its frames.
+const MAX_CROSSINGS: usize = 64;
+
+/// Adds frames of a long path in which the light's plane crosses the box, although it does so in none of `placed`:
+/// between two frames with the box on either side of the plane.
+fn with_crossings(placed: Vec<Placed>, place: &impl Fn(u32) -> Placed) -> Vec<Placed> {
+    let side = |p: &Placed| p.part.center().y > 0.0;
+    let mut more = Vec::new();
+    let changes = placed.windows(2);
+    let changes = changes.filter(|pair| side(&pair[0]) != side(&pair[1]));
+    for pair in changes.take(MAX_CROSSINGS) {
+        let ends = [pair[0].frame, pair[1].frame];
+        // The last frame for which `holds` gives what it gives at `from`.
+        let last = |from: u32, to: u32, holds: &dyn Fn(&Placed) -> bool| {
+            let (mut low, mut high) = (i64::from(from), i64::from(to));
+            let at_start = holds(&place(from));
+            while (high - low).abs() > 1 {
+                let middle = (low + high) / 2;
+                match holds(&place(middle as u32)) == at_start {
+                    true => low = middle,
+                    false => high = middle,
+                }
+            }
+            low as u32
+        };
+        let crossed = last(ends[0], ends[1], &side);
+        let lit = [crossed, crossed + 1]
+            .into_iter()
+            .find(|&f| place(f).may_be_lit());
+        if let Some(lit) = lit {
+            let [first, end] = ends.map(|end| last(lit, end, &Placed::may_be_lit));
+            let count = (end - first + 1) as usize;
+            more.extend(spread(count, MOST_FRAMES).map(|i| place(first + i as u32)));
+        }
+    }
+    more.extend(placed);
+    more.sort_by_key(|placed| placed.frame);
+    more
 }
 
 impl Placed {
@@ -206,7 +271,7 @@ fn miss(scene: &Scene, placed: &[Placed], crossed: bool) -> Option<Miss> {
 }
 
 /// Directions of the laser's light with what the camera sees of each.
-fn directions(scene: &Scene) -> Vec<Direction> {
+pub(crate) fn directions(scene: &Scene) -> Vec<Direction> {
     let camera_from_laser = scene.head_from_camera.inverse() * scene.head_from_laser;
     let projector = scene.camera.model().projector();
     let resolution = scene.camera.sensor.resolution.as_dvec2();
@@ -284,19 +349,11 @@ fn distances(scene: &Scene, laser_from_camera: &Rigid) -> Vec<f64> {
     all
 }
 
-/// The fates of those rays of a frame that meet the part.
-fn fates(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<Fate> {
+/// The ends of the rays of a frame that hit the part.
+fn lit_points(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> Vec<LitPoint> {
     let part_from_laser = part_from_laser(scene, frame);
-    let laser_from_camera = scene.head_from_laser.inverse() * scene.head_from_camera;
-    let follow = Follow {
-        scene,
-        accel,
-        laser_from_part: part_from_laser.inverse(),
-        camera_from_laser: laser_from_camera.inverse(),
-        projector: scene.camera.model().projector(),
-        eye: part_from_laser.point(laser_from_camera.translation),
-    };
-    let mut fates = Vec::new();
+    let follow = Follow::new(scene, accel, part_from_laser);
+    let mut lit = Vec::new();
     for directions in directions.chunks(WIDTH) {
         let ray = |direction: &Direction| Ray {
             origin: part_from_laser.translation,
@@ -306,15 +363,25 @@ fn fates(scene: &Scene, accel: &Accel, frame: u32, directions: &[Direction]) -> 
         let rays: Vec<Ray> = directions.iter().map(ray).collect();
         let hits = accel.closest(&rays, |_, _| true);
         let met = directions.iter().zip(hits);
-        fates.extend(met.filter_map(|(direction, hit)| Some(follow.fate(direction, hit?))));
+        lit.extend(met.filter_map(|(direction, hit)| {
+            let hit = hit?;
+            Some(LitPoint {
+                frame,
+                point: hit.point,
+                normal: hit.normal,
+                triangle: hit.face.triangle,
+                fate: follow.fate(direction, hit),
+            })
+        }));
     }
-    fates
+    lit
 }
 
-/// What it takes to follow light from the part to the camera.
-struct Follow<'a> {
+/// Follows light from the part to the camera, with the laser at one pose.
+pub(crate) struct Follow<'a> {
     scene: &'a Scene,
     accel: &'a Accel,
+    part_from_laser: Rigid,
     laser_from_part: Rigid,
     camera_from_laser: Rigid,
     projector: Projector,
@@ -323,6 +390,19 @@ struct Follow<'a> {
 }
 
 impl Follow<'_> {
+    pub fn new<'a>(scene: &'a Scene, accel: &'a Accel, part_from_laser: Rigid) -> Follow<'a> {
+        let laser_from_camera = scene.head_from_laser.inverse() * scene.head_from_camera;
+        Follow {
+            scene,
+            accel,
+            part_from_laser,
+            laser_from_part: part_from_laser.inverse(),
+            camera_from_laser: laser_from_camera.inverse(),
+            projector: scene.camera.model().projector(),
+            eye: part_from_laser.point(laser_from_camera.translation),
+        }
+    }
+
     fn fate(&self, direction: &Direction, hit: Hit) -> Fate {
         let Some([near, far]) = direction.in_rows else {
             return Fate::OutOfView;
@@ -339,32 +419,87 @@ impl Follow<'_> {
         {
             return Fate::OutOfView;
         }
-        let start = hit.point + hit.normal * self.accel.resolution();
-        let sight = Ray::between(start, self.eye);
-        let shown = sight.filter(|sight| sight.direction.dot(hit.normal) > 0.0);
-        match shown.filter(|sight| self.accel.occluded(&[*sight]) == 0) {
-            Some(_) => self.seen(hit).map_or(Fate::OutOfView, Fate::Seen),
-            None => Fate::Hidden,
-        }
+        self.towards_camera(hit.point, hit.normal, hit.face.triangle)
     }
 
-    /// Expected counts above black of the pixel in the middle of the line, which is a
-    /// Gaussian of standard deviation σ px there: ∫exp(−x²/2σ²) over one pixel is
-    /// σ√(2π)·erf(1/(2√2·σ)).
-    fn seen(&self, hit: Hit) -> Option<f64> {
+    /// The light of a point of the laser plane that the sensor images.
+    fn towards_camera(&self, point: DVec3, normal: DVec3, triangle: u32) -> Fate {
+        if normal.dot(self.eye - point) <= 0.0 {
+            return Fate::FacesAway;
+        }
+        if self.blocked(point, normal, self.eye) {
+            return Fate::Hidden;
+        }
+        let seen = self.seen(point, normal, triangle);
+        seen.map_or(Fate::OutOfView, Fate::Seen)
+    }
+
+    fn blocked(&self, point: DVec3, normal: DVec3, to: DVec3) -> bool {
+        let start = point + normal * self.accel.resolution();
+        Ray::between(start, to).is_some_and(|ray| self.accel.occluded(&[ray]) != 0)
+    }
+
+    /// The fate of light at a point of the surface when the laser plane passes through it at this pose; `None` if no
+    /// light reaches it, or if it is not imaged on the sensor.
+    pub fn fate_of(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<Fate> {
+        let in_laser = self.laser_from_part.point(point).with_y(0.0);
+        self.scene.laser.section(in_laser)?;
+        if !self.is_imaged(in_laser) || !self.is_lit(point, normal) {
+            return None;
+        }
+        Some(self.towards_camera(point, normal, triangle))
+    }
+
+    fn is_lit(&self, point: DVec3, normal: DVec3) -> bool {
+        let laser = self.part_from_laser.translation;
+        normal.dot(laser - point) > 0.0 && !self.blocked(point, normal, laser)
+    }
+
+    fn is_imaged(&self, in_laser: DVec3) -> bool {
+        let resolution = self.scene.camera.sensor.resolution.as_dvec2();
+        let pixel = self
+            .projector
+            .project(self.camera_from_laser.point(in_laser));
+        pixel.is_some_and(|p| p.cmpge(DVec2::ZERO).all() && p.cmple(resolution).all())
+    }
+
+    /// Whether the light passes a point within the fan and within the columns that the camera sees there.
+    pub fn is_in_field(&self, point: DVec3) -> bool {
+        let in_laser = self.laser_from_part.point(point).with_y(0.0);
+        let columns = f64::from(self.scene.camera.sensor.resolution.x);
+        let pixel = self
+            .projector
+            .project(self.camera_from_laser.point(in_laser));
+        self.scene.laser.section(in_laser).is_some()
+            && pixel.is_some_and(|p| (0.0..=columns).contains(&p.x))
+    }
+
+    /// Cosine of the angle of incidence at a point that a sensor in this orientation could measure from some
+    /// position: it faces the beam and the camera, and nothing is between it and either. `None` for other points.
+    pub fn measurable(&self, point: DVec3, normal: DVec3, distance: f64) -> Option<f64> {
+        let of_beam = self.part_from_laser.point(DVec3::Z * distance);
+        let to_laser = self.part_from_laser.translation - of_beam;
+        let to_camera = self.eye - of_beam;
+        let cosine = normal.dot(to_laser.try_normalize()?);
+        let free = |to: DVec3| !self.blocked(point, normal, point + to);
+        let faces = cosine > 0.0 && normal.dot(to_camera) > 0.0;
+        (faces && free(to_laser) && free(to_camera)).then_some(cosine)
+    }
+
+    /// Returns the line at a lit point. The counts are expected in the pixel at the centre of the line, which is a
+    /// Gaussian of standard deviation σ px: ∫exp(−x²/2σ²) over one pixel is σ√(2π)·erf(1/(2√2·σ)).
+    fn seen(&self, point: DVec3, normal: DVec3, triangle: u32) -> Option<LineImage> {
         let Scene {
             laser,
             camera,
             surface,
             ..
         } = self.scene;
-        let place = self.laser_from_part.point(hit.point).with_y(0.0);
+        let place = self.laser_from_part.point(point).with_y(0.0);
         let light = laser.at(place)?;
-        let normal = self.laser_from_part.vector(hit.normal);
-        let received = -light.flux.dot(normal);
-        let pixel = self
-            .projector
-            .project(self.camera_from_laser.point(place))?;
+        let received = -light.flux.dot(self.laser_from_part.vector(normal));
+        let in_camera = self.camera_from_laser.point(place);
+        let pixel = self.projector.project(in_camera)?;
         let beside = place + DVec3::Y * laser.section(place)?.radius;
         let beside = self
             .projector
@@ -373,21 +508,39 @@ impl Follow<'_> {
         let share = sigma * TAU.sqrt() * libm::erf(0.5 * FRAC_1_SQRT_2 / sigma);
         let towards_light = -light.flux.normalize_or_zero();
         let towards_light = self.laser_from_part.inverse().vector(towards_light);
-        let towards_eye = (self.eye - hit.point).normalize_or_zero();
-        let surface = surface.of(hit.face.triangle);
-        let bsdf = surface.bsdf(hit.point, hit.normal, towards_light, towards_eye);
+        let towards_eye = (self.eye - point).normalize_or_zero();
+        let surface = surface.of(triangle);
+        let bsdf = surface.bsdf(point, normal, towards_light, towards_eye);
         let irradiance = bsdf * received * camera.pupil_solid_angle(pixel);
         let electrons = irradiance
             * camera
                 .sensor
                 .electrons_per_irradiance(laser.beam.wavelength);
         let counts = electrons * camera.sensor.gain_dn_per_e * share.min(1.0);
-        Some(counts.max(0.0)).filter(|counts| counts.is_finite())
+        Some(LineImage {
+            counts: counts.max(0.0),
+            widening: self.widening(sigma, in_camera)?,
+        })
+        .filter(|line| line.counts.is_finite() && line.widening.is_finite())
+    }
+
+    /// Returns the standard deviation of the image of a line of standard deviation `sigma` (px), over its value at the
+    /// best focus. Four variances add: the line, a pixel (1/12), diffraction, and the defocused pupil, a disc of
+    /// diameter b with variance b²/16. Diffraction at the f-number N of the image counts as a Gaussian of 0.45·λ·N
+    /// (Zhang, Zerubia & Olivo-Marin 2007: 0.225·λ/NA).
+    fn widening(&self, sigma: f64, in_camera: DVec3) -> Option<f64> {
+        let Scene { laser, camera, .. } = self.scene;
+        let pitch = camera.sensor.pixel_pitch;
+        let blur = camera.defocus_blur(in_camera)? / pitch;
+        let image_over_pupil = camera.lens.image_distance() / camera.lens.pupil_diameter();
+        let diffraction = 0.45 * laser.beam.wavelength * image_over_pupil / pitch;
+        let in_focus = sigma * sigma + 1.0 / 12.0 + diffraction * diffraction;
+        Some(((in_focus + blur * blur / 16.0) / in_focus).sqrt())
     }
 }
 
-/// Counts above black that a line must have to be found: `measure.threshold_dn`, or the height that
-/// noise rarely reaches.
+/// Counts above black that a line needs to give valid points: above `measure.threshold_dn` where the scene has it;
+/// else to be found in noise and to be free of the flag WEAK.
 pub(crate) fn least_counts(scene: &Scene) -> f64 {
     if let Some(threshold) = scene.measure.threshold_dn {
         return threshold;
@@ -395,5 +548,5 @@ pub(crate) fn least_counts(scene: &Scene) -> f64 {
     let sensor = &scene.camera.sensor;
     let noise = (sensor.dark_noise_e() * sensor.gain_dn_per_e).hypot(1.0 / 12f64.sqrt());
     let pixels = sensor.resolution.as_u64vec2().element_product();
-    least_height(pixels as usize, noise)
+    least_height(pixels as usize, noise).max(WEAK_SNR * noise)
 }

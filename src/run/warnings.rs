@@ -1,29 +1,27 @@
 //! Why a scan gives nothing, or nothing worth having: the same words before it, from the
 //! geometry of the scene, and after it, from what the frames gave.
 
+use super::assessment::{Assessment, LightFractions};
+use super::forecast::Forecast;
 use super::housing::touch;
 use super::reason::{Reason, Warning};
 use super::reflections::NOISE;
 use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
-use super::survey::{Fate, MeasuringRange, Miss, Survey, least_counts};
+use super::survey::{MeasuringRange, Miss, Survey, least_counts};
 use crate::accel::{Accel, Ray};
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
 use crate::inspect::flags::count_flags;
 use crate::math::DVec3;
 use crate::plan::Plan;
-use crate::profile::blinding_height;
+use crate::profile::Flags;
 use crate::scene::{Motion, Scene, Unit};
 use crate::surface::Glossy;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Less of the light than this share gives points: a scan of a few stray ones.
-const WORTH_HAVING: f64 = 0.01;
-/// A reason is named if it holds for this share of the light, or for more than others.
-const WORTH_NAMING: f64 = 0.1;
 /// A part so many times the field, or so small a share of it, is in another unit: on a
 /// scale of ratios half way between a part of 100 fields and one of 1000, as a part that
 /// fills the field becomes by the most common mistake, metres for millimetres.
@@ -34,6 +32,7 @@ const MOST_POSES: usize = 100_000;
 /// What is known before a scan.
 pub(crate) struct Foreseen {
     pub sensor: Option<SensorFigures>,
+    pub assessment: Assessment,
     pub warnings: Vec<Warning>,
 }
 
@@ -52,18 +51,22 @@ pub(crate) fn foreseen_of(simulation: &Simulation, frames: Range<u32>) -> Forese
         }),
     );
     reasons.extend(speckle_not_developed(scene));
-    let survey = Survey::of(scene, accel, frames);
+    let survey = Survey::of(scene, accel, frames.clone());
     let sensor = SensorFigures::of(scene, &survey);
-    let width = sensor.as_ref().and_then(|sensor| {
-        let [near, far] = sensor.ends();
-        sensor.field_at((near + far) / 2.0)
-    });
-    reasons.extend(width.and_then(|width_mm| unit_doubtful(scene, accel, width_mm)));
+    let width = sensor.as_ref().and_then(SensorFigures::width_at_center);
+    reasons.extend(width.and_then(|mm| unit_doubtful(scene, accel, mm, ANOTHER_UNIT)));
     // Where lines are found in images, their light counts.
-    reasons.extend(of_the_survey(scene, &survey, !plan.geometry_only));
+    let images = !plan.geometry_only;
+    let of_sensor = (&survey, sensor.as_ref());
+    let assessment = Assessment::of((scene, accel), &frames, of_sensor, images);
+    reasons.extend(of_the_survey(scene, &survey, &assessment));
+    if survey.miss.is_none() {
+        reasons.extend(of_the_path(scene, frames.len(), &assessment));
+    }
     let warnings = reasons.into_iter().map(Warning::from);
     Foreseen {
         sensor,
+        assessment,
         warnings: warnings.chain(of_the_plan(plan)).collect(),
     }
 }
@@ -75,7 +78,12 @@ pub(super) fn of_the_plan(plan: &Plan) -> Option<Warning> {
 }
 
 /// What a scan gave, and why if that is nothing.
-pub(crate) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) -> Vec<Warning> {
+pub(crate) fn found(
+    points: &[CloudPoint],
+    frames: usize,
+    foreseen: &[Warning],
+    lost_fraction: f64,
+) -> Vec<Warning> {
     let result = match points.iter().any(CloudPoint::is_valid) {
         true => None,
         false if points.is_empty() => Some(Reason::NothingMeasured { frames }),
@@ -92,6 +100,17 @@ pub(crate) fn found(points: &[CloudPoint], frames: usize, foreseen: &[Warning]) 
                 })
         }
     };
+    let saturated = points.iter().filter(|p| p.flags.contains(Flags::SATURATED));
+    let saturated = saturated.count();
+    let is_foreseen = |w: &Warning| matches!(w.reason, Reason::Saturated { .. });
+    let too_many = saturated as f64 > lost_fraction * points.len() as f64;
+    let unforeseen = result.is_none() && too_many && !foreseen.iter().any(is_foreseen);
+    let result = result.or_else(|| {
+        unforeseen.then_some(Reason::PointsSaturated {
+            points: points.len(),
+            saturated,
+        })
+    });
     let result = result.map(Warning::from).into_iter();
     result.chain(foreseen.iter().cloned()).collect()
 }
@@ -193,12 +212,19 @@ fn is_inside(accel: &Accel, p: DVec3) -> bool {
     })
 }
 
-fn unit_doubtful(scene: &Scene, accel: &Accel, field_mm: f64) -> Option<Reason> {
+/// Warns of a part whose size differs from the field by a factor of `limit` or more, and names the unit in which it
+/// fits.
+pub(super) fn unit_doubtful(
+    scene: &Scene,
+    accel: &Accel,
+    field_mm: f64,
+    limit: f64,
+) -> Option<Reason> {
     let unit = scene.mesh_unit?;
     let part_mm = accel.bounds().size().max_element();
     let off = |ratio: f64| ratio.max(1.0 / ratio);
     let ratio = part_mm / field_mm;
-    if !ratio.is_finite() || ratio <= 0.0 || off(ratio) < ANOTHER_UNIT {
+    if !ratio.is_finite() || ratio <= 0.0 || off(ratio) < limit {
         return None;
     }
     let as_if = |other: &Unit| off(ratio * other.mm() / unit.mm());
@@ -209,11 +235,11 @@ fn unit_doubtful(scene: &Scene, accel: &Accel, field_mm: f64) -> Option<Reason> 
         part_mm,
         field_mm,
         unit,
-        likely: likely.filter(|likely| as_if(likely) < ANOTHER_UNIT),
+        likely: likely.filter(|likely| as_if(likely) < limit),
     })
 }
 
-fn of_the_survey(scene: &Scene, survey: &Survey, images: bool) -> Vec<Reason> {
+fn of_the_survey(scene: &Scene, survey: &Survey, assessment: &Assessment) -> Vec<Reason> {
     match survey.miss {
         Some(Miss::Behind) => return vec![Reason::LaserLooksAway],
         Some(Miss::Beside { frame, by_mm }) => {
@@ -225,76 +251,157 @@ fn of_the_survey(scene: &Scene, survey: &Survey, images: bool) -> Vec<Reason> {
     let Some(range) = survey.range else {
         return vec![Reason::CameraLooksAway];
     };
-    // A fan may well be wider than the view.
-    let in_view = |fate: &&Fate| **fate != Fate::OutOfView;
-    let fates: Vec<Fate> = survey.fates.iter().filter(in_view).copied().collect();
-    match (survey.fates.is_empty(), fates.is_empty()) {
-        (true, _) => Vec::new(),
-        (false, true) => vec![Reason::OutOfView],
-        (false, false) => of_the_light(scene, &fates, range, images),
+    match (&assessment.light, survey.lit.is_empty()) {
+        (Some(light), _) => of_the_light(scene, light, range),
+        (None, false) => vec![Reason::OutOfView],
+        (None, true) => Vec::new(),
     }
 }
 
-/// Of light that falls on the part in view.
-fn of_the_light(scene: &Scene, fates: &[Fate], range: MeasuringRange, images: bool) -> Vec<Reason> {
+/// The causes by which too much of the light is lost.
+fn of_the_light(scene: &Scene, light: &LightFractions, range: MeasuringRange) -> Vec<Reason> {
+    let limits = &scene.warnings;
     let range_mm = [range.near_mm, range.far_mm];
-    let sensor = &scene.camera.sensor;
-    let least_counts = least_counts(scene);
-    let full = sensor.saturation_count() as f64 - sensor.black_level_dn;
-    let contrast = scene.speckle.map_or(0.0, |s| s.coherence.contrast());
-    let blinding = full * blinding_height(contrast * contrast);
-    // Share of the light with a fate, and the greatest number that goes with it.
-    let of = |number: &dyn Fn(&Fate) -> Option<f64>| {
-        let numbers: Vec<f64> = fates.iter().filter_map(number).collect();
-        let greatest = numbers.iter().copied().fold(0.0, f64::max);
-        (numbers.len() as f64 / fates.len() as f64, greatest)
-    };
-    let counts = |fate: &Fate, holds: &dyn Fn(f64) -> bool| match fate {
-        Fate::Seen(counts) if images && holds(*counts) => Some(*counts),
-        _ => None,
-    };
-    let near = of(&|fate| match fate {
-        Fate::TooNear(by_mm) => Some(*by_mm),
-        _ => None,
-    });
-    let far = of(&|fate| match fate {
-        Fate::TooFar(by_mm) => Some(*by_mm),
-        _ => None,
-    });
-    let hidden = of(&|fate| (*fate == Fate::Hidden).then_some(0.0));
-    let dark = of(&|fate| counts(fate, &|c| c < least_counts));
-    let bright = of(&|fate| counts(fate, &|c| c > blinding));
-    let above = |(share, by_mm)| Reason::AboveRange {
-        share,
-        by_mm,
+    let &LightFractions {
+        too_near,
+        too_far,
+        occluded,
+        too_dark,
+        saturated,
+        out_of_focus,
+        facing_away,
+        hidden,
+        valid,
+    } = light;
+    let above = Reason::AboveRange {
+        share: too_near.fraction,
+        by_mm: too_near.most,
         range_mm,
     };
-    let below = |(share, by_mm)| Reason::BelowRange {
-        share,
-        by_mm,
+    let below = Reason::BelowRange {
+        share: too_far.fraction,
+        by_mm: too_far.most,
         range_mm,
     };
-    let too_dark = |(share, counts)| Reason::TooDark {
-        share,
-        counts,
-        least_counts,
+    let behind = Reason::HiddenFromCamera {
+        share: occluded.fraction,
     };
-    let saturated = |(share, counts)| Reason::Saturated {
-        share,
-        times: counts / full,
+    let dark = Reason::TooDark {
+        share: too_dark.fraction,
+        counts: too_dark.most,
+        least_counts: least_counts(scene),
     };
-    let all = [
-        (near.0, above(near)),
-        (far.0, below(far)),
-        (hidden.0, Reason::HiddenFromCamera { share: hidden.0 }),
-        (dark.0, too_dark(dark)),
-        (bright.0, saturated(bright)),
+    let bright = Reason::Saturated {
+        share: saturated.fraction,
+        times: saturated.most,
+    };
+    let blurred = Reason::OutOfFocus {
+        fraction: out_of_focus.fraction,
+        times: out_of_focus.most,
+        limit: limits.blur,
+    };
+    let causes = [
+        (too_near, above),
+        (too_far, below),
+        (occluded, behind),
+        (too_dark, dark),
+        (saturated, bright),
+        (out_of_focus, blurred),
     ];
-    let shares = || all.iter().map(|(share, _)| *share);
-    if 1.0 - shares().sum::<f64>() >= WORTH_HAVING {
-        return Vec::new();
+    let causes = causes.into_iter();
+    let mut reasons: Vec<Reason> = causes
+        .filter(|(loss, _)| loss.fraction > limits.lost_fraction)
+        .map(|(_, reason)| reason)
+        .collect();
+    let unseen = facing_away + hidden;
+    if unseen > limits.hidden_fraction {
+        reasons.push(match facing_away > hidden {
+            true => Reason::FacesAway {
+                fraction: facing_away,
+            },
+            false => Reason::HiddenFromCamera { share: hidden },
+        });
     }
-    let named = shares().fold(0.0, f64::max).min(WORTH_NAMING);
-    let named = all.into_iter().filter(|(share, _)| *share >= named);
-    named.map(|(_, reason)| reason).collect()
+    let lost = 1.0 - valid;
+    if reasons.is_empty() && lost > limits.unmeasured_fraction {
+        reasons.push(Reason::SurfaceNotMeasured { fraction: lost });
+    }
+    reasons
+}
+
+/// Faults of a path that lights the part.
+fn of_the_path(scene: &Scene, frames: usize, assessment: &Assessment) -> Vec<Reason> {
+    let limits = &scene.warnings;
+    let path = &assessment.path;
+    let mut reasons = Vec::new();
+    let gap = path
+        .gap
+        .map(|gap| (gap, limits.pass_spacing * gap.field_mm));
+    let gap = gap.filter(|(gap, limit_mm)| gap.spacing_mm > *limit_mm);
+    // Without light in the field, where it falls is the whole reason.
+    let surface = assessment.surface.filter(|_| assessment.light.is_some());
+    if let Some(surface) = surface {
+        let limit = limits.unmeasured_fraction;
+        // Surface between passes is missed for another reason.
+        if gap.is_none() && path.field_beside_part.min(surface.beside_field) > limit {
+            reasons.push(Reason::DisplacedSideways {
+                field: path.field_beside_part,
+                missed: surface.beside_field,
+            });
+        }
+        if path.empty_frames.min(surface.not_passed) > limit {
+            reasons.push(Reason::DisplacedAlongPath {
+                frames: path.empty_frames,
+                missed: surface.not_passed,
+            });
+        }
+    }
+    if surface.is_some() && path.empty_frames > limits.empty_frames_fraction {
+        reasons.push(Reason::MostlyOutsidePart {
+            frames: path.empty_frames,
+            travel_mm: path.travel_mm,
+        });
+    }
+    reasons.extend(gap.map(|(gap, limit_mm)| Reason::PassesTooFarApart {
+        spacing_mm: gap.spacing_mm,
+        field_mm: gap.field_mm,
+        limit_mm,
+    }));
+    if let (Some(step_mm), Some(column_mm), Some(travel_mm)) =
+        (path.step_mm, path.column_mm, path.travel_mm)
+    {
+        // Averaged frames make one profile.
+        let averaged = f64::from(scene.measure.filters.average_frames);
+        if frames > 1 && step_mm * averaged < limits.least_step * column_mm {
+            reasons.push(Reason::StepsTooShort {
+                step_mm,
+                column_mm,
+                travel_mm,
+                poses: matches!(scene.scan.motion, Motion::Poses { .. }),
+            });
+        }
+    }
+    let hours = path.duration_s / 3600.0;
+    if hours > limits.duration_h {
+        reasons.push(Reason::LongPath {
+            hours,
+            frames,
+            rate_hz: path.frame_rate_hz,
+            limit_h: limits.duration_h,
+        });
+    }
+    reasons
+}
+
+/// A simulation that takes long. `check` and `view` give this warning, as it depends on the machine.
+pub(crate) fn of_the_forecast(scene: &Scene, forecast: &Forecast) -> Option<Warning> {
+    let (hours, limit_h) = (forecast.seconds / 3600.0, scene.warnings.duration_h);
+    (hours > limit_h).then(|| {
+        let frames = forecast.frames as usize;
+        Warning::from(Reason::LongSimulation {
+            hours,
+            frames,
+            limit_h,
+        })
+    })
 }

@@ -4,6 +4,7 @@
 use super::accept_table::AcceptTable;
 use super::data_sheet::DataSheet;
 use super::unit::Unit;
+use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::frame::{Blur, Sampling};
 use crate::math::Aperture;
@@ -61,6 +62,9 @@ pub struct SceneFile {
     /// The acceptance test of the sensor.
     #[serde(default)]
     pub accept: AcceptTable,
+    /// Limits of the warnings.
+    #[serde(default)]
+    pub warnings: WarningsTable,
 }
 
 /// How speckle patterns are read.

@@ -18,6 +18,7 @@ mod resolver;
 mod surface;
 mod unit;
 mod values;
+mod warnings_table;
 
 pub use accept_table::{AcceptTable, LimitsTable};
 pub use data_sheet::{Origin, SolvedValue};
@@ -28,3 +29,4 @@ pub use resolve::{Measure, Scene, SpeckleModel};
 pub use unit::Unit;
 #[doc(hidden)]
 pub use values::set as set_value;
+pub use warnings_table::WarningsTable;

@@ -8,6 +8,7 @@ use super::path::ScanPath;
 use super::resolver::Resolver;
 use super::surface::polarised;
 use super::unit::Unit;
+use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::camera::Camera;
 use crate::error::{Error, InputError, Place, Result};
@@ -133,6 +134,9 @@ pub struct Scene {
     /// The acceptance test of the sensor, as written.
     #[doc(hidden)]
     pub accept: AcceptTable,
+    /// Limits of the warnings.
+    #[doc(hidden)]
+    pub warnings: WarningsTable,
 }
 
 impl Scene {
@@ -392,6 +396,7 @@ impl Resolver<'_> {
             scan,
             calibration,
             accept: file.accept,
+            warnings: self.warnings(&file.warnings)?,
         })
     }
 
