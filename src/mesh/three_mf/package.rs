@@ -14,11 +14,14 @@ use zip::ZipArchive;
 
 /// Bytes of memory for a byte of XML: the shortest vertex takes 24 for `<vertex x="0" y="0" z="0"/>`.
 const PER_XML_BYTE: u64 = 1;
-/// Times that all XML together may be larger than the archive. Meshes are compressed to a tenth, of regular grids to a
-/// fortieth; the format of the archive allows a thousandth.
-const LARGEST_RATIO: u64 = 100;
+/// Times that all XML together may be larger than the archive. Meshes are compressed to a tenth, regular grids
+/// included; the format of the archive allows a thousandth.
+const LARGEST_RATIO: u64 = 30;
 /// Bytes of XML that any archive may hold.
 const ANYWAY: u64 = 1 << 24;
+/// Bytes of an element on average, at the least, beyond the first million elements: a triangle has 31 and more.
+const LEAST_PER_ELEMENT: u64 = 16;
+const MANY: u64 = 1_000_000;
 /// Elements within elements: real files have ten.
 const DEEPEST: usize = 64;
 
@@ -79,6 +82,7 @@ impl<'a> Package<'a> {
         })?;
         let mut reader = NsReader::from_reader(BufReader::new(entry.take(size)));
         let (mut buffer, mut around) = (Vec::new(), Vec::<Name>::new());
+        let mut count = 0u64;
         loop {
             buffer.clear();
             let at = reader.buffer_position();
@@ -99,6 +103,11 @@ impl<'a> Package<'a> {
                 Ok(Event::Empty(start)) => (true, start),
                 Ok(_) => continue,
             };
+            count += 1;
+            if count > MANY && count * LEAST_PER_ELEMENT > at {
+                let found = format!("{count} elements in {at} bytes");
+                return Err(wrong(found, "at least 16 bytes an element"));
+            }
             let names = reader.resolver();
             let (of, local) = names.resolve_element(start.name());
             let of = match &of {

@@ -453,7 +453,11 @@ fn work_is_bounded_by_the_file() {
     let bytes = zip.finish().unwrap().into_inner();
     assert!(bytes.len() < 100_000);
     let error = meshed(&bytes).unwrap_err();
-    assert!(error.contains("100 times the archive's"), "{error}");
+    assert!(error.contains("30 times the archive's"), "{error}");
+
+    let short = "<a/>".repeat(1_100_000);
+    let error = meshed(&packed("", &(one.clone() + &short), item)).unwrap_err();
+    assert!(error.contains("16 bytes an element"), "{error}");
 
     let deep = format!("{}{}", "<a>".repeat(1000), "</a>".repeat(1000));
     assert!(
