@@ -148,7 +148,8 @@ fn every_nasty_file_gives_the_right_mesh_or_an_error_that_names_the_problem() {
             ("d_ascii_comma_decimal.stl", Error("comma")),
             ("d_ascii_fortran_exp.stl", Counts(50, 44, 0, 0)),
             ("d_ascii_name_with_facet.stl", Counts(400, 288, 0, 0)),
-            ("d_ascii_no_endsolid.stl", Error("cut off")),
+            // With a warning.
+            ("d_ascii_no_endsolid.stl", Counts(400, 288, 0, 0)),
             ("d_ascii_tabs_crlf_upper.stl", Counts(400, 288, 0, 0)),
             ("d_ascii_trunc.stl", Error("cut off")),
             ("d_ascii_utf16.stl", Error("UTF-16")),
@@ -385,7 +386,11 @@ fn truncated_files_are_refused() {
         for end in 0..bytes.len() {
             let cut = parse(&bytes[..end]);
             if bytes.len() - end > spare {
-                assert_eq!(cut, None, "{name} cut at {end}");
+                let contents = mesh::parse_whole(Path::new("a"), &bytes[..end], 1.0);
+                let warns = contents.is_ok_and(|c| c.ignored.iter().any(|i| i.changes_shape));
+                // A text that ends after a facet may be whole.
+                let may_be_whole = name == "ASCII STL" && warns;
+                assert!(cut.is_none() || may_be_whole, "{name} cut at {end}");
             } else if name != "OBJ" {
                 assert_eq!(cut, whole, "{name} cut at {end}");
             }

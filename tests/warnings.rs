@@ -488,3 +488,59 @@ fn sound_scenes_of_other_kinds_give_no_warning() {
     );
     assert_sound("ball", &load(&ball, None));
 }
+
+/// What a mesh's file has and its reader leaves out: a line of the part for each in `check`, a list in `--json` and
+/// in `summary.json`, and a warning for what may change the shape.
+#[test]
+fn content_of_the_mesh_file_that_is_not_read_is_listed() {
+    let square = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
+    for (more, shapes, others) in [
+        ("", &[][..], &[][..]),
+        ("l 1 2\n", &[], &["lines: \"l\", first on line 6"]),
+        (
+            "surf 0 1 0 1 1 2 3 4\nbent 3\nbent 4\nl 1 2\n",
+            &[
+                "free-form surfaces: \"surf\", first on line 6",
+                "an unknown statement: \"bent\", first on line 7 (2 times)",
+            ],
+            &["lines: \"l\", first on line 9"],
+        ),
+    ] {
+        let text = program::scene("mesh = { file = \"part.obj\", unit = \"mm\" }");
+        let folder = folder_with(&text);
+        fs::write(folder.path().join("part.obj"), format!("{square}{more}")).unwrap();
+        let (_, page, _) = run(folder.path(), &["check", "scene.toml"]);
+        let warning = "warning: The part may have another shape";
+        assert_eq!(page.contains(warning), !shapes.is_empty(), "{page}");
+        for name in shapes.iter().chain(others) {
+            assert!(
+                page.contains(&format!("not read          {name}")),
+                "{page}"
+            );
+        }
+        let (_, json, _) = run(folder.path(), &["check", "scene.toml", "--json"]);
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let (code, _, stderr) = run(folder.path(), &["scan", "scene.toml", "-o", "out"]);
+        assert_eq!(code, 0, "{stderr}");
+        let summary = fs::read(folder.path().join("out/summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+        for list in [&json["scene"]["mesh_ignored"], &summary["mesh_ignored"]] {
+            let list = list.as_array().unwrap();
+            assert_eq!(list.len(), shapes.len() + others.len(), "{list:?}");
+            for (ignored, name) in list.iter().zip(shapes.iter().chain(others)) {
+                assert!(
+                    name.starts_with(ignored["name"].as_str().unwrap()),
+                    "{name}"
+                );
+                assert_eq!(ignored["changes_shape"], shapes.contains(name));
+            }
+        }
+        for warnings in [&json["warnings"], &summary["warnings"]] {
+            let reasons = warnings.as_array().unwrap().iter().map(|w| &w["reason"]);
+            let incomplete = reasons
+                .filter(|reason| *reason == "mesh-incomplete")
+                .count();
+            assert_eq!(incomplete, usize::from(!shapes.is_empty()));
+        }
+    }
+}

@@ -12,17 +12,19 @@
 use std::fs::File;
 use std::io::Read;
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
 use crate::error::{Error, InputError, Place};
 use crate::math::{Aabb, DVec3};
+use ignored::Collector;
 
 pub mod check;
 mod gltf;
 mod groups;
+mod ignored;
 pub mod memory;
 mod obj;
 mod ply;
@@ -38,6 +40,7 @@ mod weld;
 
 pub use check::{MeshReport, Orientation, has_area, report};
 pub use groups::Groups;
+pub use ignored::Ignored;
 pub use shell::Shell;
 
 /// Largest coordinate taken (mm), a million kilometres. It keeps areas and
@@ -202,7 +205,7 @@ fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec
 
 /// The files that a mesh file needs in its folder or below it, relative to the folder: the buffers of glTF.
 #[doc(hidden)]
-pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<String>, Error> {
+pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<PathBuf>, Error> {
     Ok(match sniff::format(path, bytes)? {
         sniff::Format::Gltf => gltf::buffer_files(bytes),
         _ => Vec::new(),
@@ -212,16 +215,27 @@ pub fn files_needed(path: &Path, bytes: &[u8]) -> Result<Vec<String>, Error> {
 /// `load` for bytes already in memory; `path` names them in errors, and a glTF file's buffers are
 /// beside it.
 pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Result<Mesh, Error> {
-    parse_named(path, bytes, unit_mm).map(|(mesh, _)| mesh)
+    parse_whole(path, bytes, unit_mm).map(|contents| contents.mesh)
 }
 
-/// The same with the names that OBJ, PLY and glTF give to triangles.
+/// What a mesh file holds.
 #[doc(hidden)]
-pub fn parse_named(
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contents {
+    pub mesh: Mesh,
+    /// Names that OBJ, PLY and glTF give to triangles.
+    pub groups: Groups,
+    /// Content that was not used, such that changes the shape first.
+    pub ignored: Vec<Ignored>,
+}
+
+/// Parses a mesh with the names of its triangles and a list of what was not used.
+#[doc(hidden)]
+pub fn parse_whole(
     path: &Path,
     bytes: &[u8],
     unit_mm: impl Into<Option<f64>>,
-) -> Result<(Mesh, Groups), Error> {
+) -> Result<Contents, Error> {
     let unit_mm = unit_mm.into();
     assert!(
         unit_mm.is_none_or(|unit| unit.is_finite() && unit > 0.0),
@@ -235,18 +249,24 @@ pub fn parse_named(
         unit_mm: unit_mm.or(usual).unwrap_or(1.0),
     };
     let nameless = |mesh: Mesh| (mesh, Groups::default());
-    match format {
-        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm).map(nameless),
-        sniff::Format::Gltf => gltf::read(&source),
+    let mut ignored = Collector::default();
+    let (mesh, groups) = match format {
+        sniff::Format::ThreeMf => three_mf::read(&source, unit_mm, &mut ignored).map(nameless),
+        sniff::Format::Gltf => gltf::read(&source, &mut ignored),
         _ if unit_mm.is_none() => {
             let found = "coordinates without a unit";
             Err(source.error(Place::File, found, "a unit beside the file's name"))
         }
-        sniff::Format::BinaryStl => stl::binary(&source).map(nameless),
-        sniff::Format::AsciiStl => stl::ascii(&source).map(nameless),
-        sniff::Format::Ply => ply::read(&source),
-        sniff::Format::Obj => obj::read(&source),
-    }
+        sniff::Format::BinaryStl => stl::binary(&source, &mut ignored).map(nameless),
+        sniff::Format::AsciiStl => stl::ascii(&source, &mut ignored).map(nameless),
+        sniff::Format::Ply => ply::read(&source, &mut ignored),
+        sniff::Format::Obj => obj::read(&source, &mut ignored),
+    }?;
+    Ok(Contents {
+        mesh,
+        groups,
+        ignored: ignored.finish(),
+    })
 }
 
 /// Who says the unit of a file's coordinates.
@@ -310,6 +330,15 @@ impl Source<'_> {
             *position *= self.unit_mm;
         }
         Ok(mesh)
+    }
+
+    /// The error of a file without triangles, which names the shapes in it that are not read.
+    fn no_triangles_but(&self, instead: &str, ignored: &Collector) -> Error {
+        let shapes: String = ignored
+            .shapes()
+            .map(|shape| format!("; not read: {shape}"))
+            .collect();
+        self.no_triangles(&format!("{instead}{shapes}"))
     }
 
     fn no_triangles(&self, instead: &str) -> Error {

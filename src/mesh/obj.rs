@@ -2,12 +2,13 @@
 //!
 //! Faces of one or two corners have no area and are passed over, as are
 //! normals, texture coordinates and free-form surfaces. A triangle has the names of its groups (`g`), its object
-//! (`o`) and its material (`usemtl`); what a material is, is not read. An unknown
-//! statement is refused: a misspelt `v` would shift all later indices. OBJ has
+//! (`o`) and its material (`usemtl`); what a material is, is not read. Free-form surfaces, other files, levels of
+//! detail and unknown statements give a warning: a misspelt `v` would shift all later indices. OBJ has
 //! no end mark: a file cut off between two lines cannot be told from a whole one
 //! (its missing faces show as boundary edges in the report).
 
 use super::groups::{Groups, Lists, NONE, Namer};
+use super::ignored::Collector;
 use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote};
 use super::{Mesh, Source};
@@ -24,7 +25,7 @@ pub fn is_statement(word: &[u8]) -> bool {
     STATEMENTS.split(' ').any(|s| s.as_bytes() == word)
 }
 
-pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
+pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
     let mut positions = Vec::new();
     // Of all faces one after the other, and how many each has. A face may stand
     // before its vertices, so that none is cut before the end.
@@ -41,16 +42,18 @@ pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
                 arities.push(words.len() as u16 - 1);
             }
             Some((&(b"g" | b"o" | b"usemtl"), _)) => names.change(&words, arities.len()),
-            Some((word, _)) if !is_statement(word) => {
-                let found = quote(word);
-                return Err(source.error(Place::Line(line), found, "an OBJ statement"));
+            Some((&(b"f" | b"fo"), corners)) => {
+                face(source, corners, line, positions.len(), &mut Vec::new())?;
+                ignored.harmless("faces of fewer than three corners");
             }
-            _ => {}
+            Some((word, _)) if text::is_padding(word) => ignored.harmless("NUL bytes"),
+            Some((word, _)) => ignore(word, line, ignored),
+            None => {}
         }
     }
     if arities.is_empty() {
         let instead = format!("an OBJ with {} vertices and no face", positions.len());
-        return Err(source.no_triangles(&instead));
+        return Err(source.no_triangles_but(&instead, ignored));
     }
     let mut triangles = Vec::with_capacity(arities.len());
     let mut cutter = Cutter::default();
@@ -88,6 +91,24 @@ pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
     }
     let mesh = source.mesh(&positions, &triangles)?;
     Ok((mesh, namer.finish(triangles.len())))
+}
+
+/// Lists a statement that is not read; looks and the settings of free-form geometry are not listed.
+fn ignore(word: &[u8], line: usize, ignored: &mut Collector) {
+    let (changes_shape, what) = match word {
+        b"surf" => (true, "free-form surfaces"),
+        b"call" | b"csh" => (true, "commands and other files"),
+        b"lod" => (true, "levels of detail, whose faces are all read"),
+        b"curv" | b"curv2" => (false, "free-form curves"),
+        b"l" => (false, "lines"),
+        b"p" => (false, "points"),
+        word if is_statement(word) => return,
+        _ => (true, "an unknown statement"),
+    };
+    let word = quote(word);
+    ignored.add(&word, changes_shape, |word| {
+        format!("{what}: {word}, first on line {line}")
+    });
 }
 
 /// Names of the faces to come.
@@ -152,12 +173,16 @@ fn statement<'a>(lines: &mut Lines<'a>, words: &mut Vec<&'a [u8]>) -> Option<usi
     let mut line = lines.next()?;
     let number = lines.number;
     words.extend(text::words(line));
-    // A backslash joins the next line, except at the end of a comment,
-    // where it is more likely a Windows path.
+    // A backslash joins the next line, except at the end of a comment, where it is more likely a Windows path, and
+    // before a statement, where it belongs to a name.
     while line.trim_ascii_end().ends_with(b"\\")
         && let Some(last) = words.pop_if(|w| w.ends_with(b"\\"))
     {
         words.extend(last.strip_suffix(b"\\").filter(|w| !w.is_empty()));
+        let next = lines.clone().next().unwrap_or_default();
+        if text::words(next).next().is_some_and(is_statement) {
+            break;
+        }
         line = lines.next().unwrap_or_default();
         words.extend(text::words(line));
     }
@@ -223,7 +248,7 @@ fn face(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::{parse, parse_named};
+    use crate::mesh::{parse, parse_whole};
     use std::path::Path;
 
     const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
@@ -256,13 +281,59 @@ mod tests {
         );
     }
 
+    /// Statements that are not the format's, in each place: the faces stay, and each statement is listed.
+    #[test]
+    fn unknown_statements_are_listed() {
+        let text = format!("{SQUARE}f 1 2 3\nf 1 3 4\n");
+        let plain = parse(Path::new("a.obj"), text.as_bytes(), 1.0).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        for at in 0..=lines.len() {
+            for (line, name, changes_shape) in [
+                ("Exported by Foo 1.2", "\"Exported\"", true),
+                ("; comment", "\";\"", true),
+                ("newmtl steel", "\"newmtl\"", true),
+                ("vcolor 1 1 1", "\"vcolor\"", true),
+                ("call other.obj", "other files: \"call\"", true),
+                ("surf 0 1 0 1 1 2 3 4", "free-form surfaces: \"surf\"", true),
+                ("lod 1", "levels of detail", true),
+                ("l 1 2", "lines: \"l\"", false),
+                ("f", "faces of fewer than three corners", false),
+                ("g a\\", "", false),
+                ("bevel off", "", false),
+            ] {
+                let mut lines = lines.clone();
+                lines.insert(at, line);
+                let text = lines.join("\n");
+                let contents = parse_whole(Path::new("a.obj"), text.as_bytes(), 1.0);
+                let contents = contents.unwrap_or_else(|error| panic!("{error}: {text}"));
+                assert_eq!(contents.mesh, plain, "{text}");
+                let names: Vec<_> = (contents.ignored.iter())
+                    .map(|i| (i.name.as_str(), i.changes_shape))
+                    .collect();
+                match name {
+                    "" => assert_eq!(names, []),
+                    name => {
+                        assert_eq!(names.len(), 1, "{names:?}");
+                        assert!(names[0].0.contains(name) && names[0].1 == changes_shape);
+                    }
+                }
+            }
+        }
+        assert!(
+            read("f 1,2,3\nf 1 2 3")
+                .unwrap_err()
+                .contains("a.obj:5: found a face with vertex")
+        );
+    }
+
     /// Groups, objects and materials, of triangles and of polygons that are cut.
     #[test]
     fn faces_keep_their_names() {
         let faces = "f 1 2 3\ng\nusemtl brushed steel\no lid\nf 1 2 3 4\ng top side\nf 1 2\nf 1 3 4\nusemtl\n\
              usemtl paint\nf 1 2 4\n";
         let text = format!("{SQUARE}{faces}");
-        let (mesh, groups) = parse_named(Path::new("a.obj"), text.as_bytes(), 1.0).unwrap();
+        let read = parse_whole(Path::new("a.obj"), text.as_bytes(), 1.0).unwrap();
+        let (mesh, groups) = (read.mesh, read.groups);
         assert_eq!(mesh.triangles.len(), 5);
         for (name, expected) in [
             ("brushed steel", [0, 1, 1, 1, 0]),
@@ -292,10 +363,6 @@ mod tests {
             ("f 1 2 9223372036854775808", "a.obj:5"),
             ("f 1 2 -9223372036854775808", "a.obj:5"),
             ("f 1.5 2 3", "\"1.5\""),
-            (
-                "f 1 2 3\nw 1 2 3",
-                "a.obj:6: found \"w\", expected an OBJ statement",
-            ),
             ("v 1 2", "a.obj:5: found a vertex of 2 numbers"),
             ("v 1 2 3 4 5", "a.obj:5: found a vertex of 5 numbers"),
             ("v 1 2 3 0.5", "weight"),
@@ -315,6 +382,10 @@ mod tests {
             (
                 "l 1 2 3",
                 "no triangles (an OBJ with 4 vertices and no face)",
+            ),
+            (
+                "surf 0 1 0 1 1 2 3 4",
+                "no face; not read: free-form surfaces: \"surf\", first on line 5)",
             ),
         ] {
             let error = read(faces).unwrap_err();

@@ -137,7 +137,8 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
     if is_whole_binary_stl(bytes) {
         return Ok(Format::BinaryStl);
     }
-    if bytes.starts_with(b"ply") && bytes.get(3).is_none_or(u8::is_ascii_whitespace) {
+    let start = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    if start.starts_with(b"ply") && start.get(3).is_none_or(u8::is_ascii_whitespace) {
         return Ok(Format::Ply);
     }
     if bytes.starts_with(b"glTF") || is_json_gltf(bytes) {
@@ -149,6 +150,9 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
     {
         return Ok(Format::ThreeMf);
     }
+    if is_package(bytes) {
+        return Ok(Format::ThreeMf);
+    }
     let head = text::without_end_mark(bytes);
     let head = head[..head.len().min(PROBE)].to_ascii_lowercase();
     let refused = |(name, expected): (String, &str)| source.error(Place::File, name, expected);
@@ -157,13 +161,22 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
     }
     let blank = |b: u8| matches!(b, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c);
     let is_text = head.iter().all(|&b| b >= b' ' || blank(b));
-    match first_word(bytes).filter(|_| is_text) {
+    // Programs fill texts with NULs at their end.
+    let end = head
+        .iter()
+        .rposition(|&b| b != 0 && !b.is_ascii_whitespace());
+    let written = &head[..end.map_or(0, |end| end + 1)];
+    let may_be_text = written.iter().all(|&b| b >= b' ' || blank(b));
+    match first_word(bytes).filter(|_| may_be_text) {
         Some(word) if word.eq_ignore_ascii_case(b"solid") => return Ok(Format::AsciiStl),
         Some(word) if obj::is_statement(word) => return Ok(Format::Obj),
         _ => {}
     }
     if let Some(other) = signed(bytes) {
         return Err(refused(other));
+    }
+    if is_text && has_vertex(bytes) {
+        return Ok(Format::Obj);
     }
     match first_word(bytes) {
         // Its reader says how the sizes disagree.
@@ -175,6 +188,16 @@ pub fn format(path: &Path, bytes: &[u8]) -> Result<Format, Error> {
         )),
         None => Err(source.error(Place::File, "blanks and comments only", EXPECTED)),
     }
+}
+
+/// Whether an archive has the relationships of 3MF although no other sign of the format: programs write names of
+/// entries with a leading slash or with `\`.
+fn is_package(bytes: &[u8]) -> bool {
+    let is_zip = bytes.starts_with(b"PK\x03\x04") && FileFormat::from(bytes) == FileFormat::Zip;
+    is_zip
+        && bytes
+            .windows(11)
+            .any(|name| name == b"_rels/.rels" || name == b"_rels\\.rels")
 }
 
 /// A JSON object with the key that glTF needs, wherever it stands.
@@ -215,8 +238,21 @@ fn looks_utf16(head: &[u8]) -> bool {
     half >= 8 && (even * 10 > half * 9 && odd == 0 || odd * 10 > half * 9 && even == 0)
 }
 
+/// The first word that is not in a comment.
 fn first_word(bytes: &[u8]) -> Option<&[u8]> {
-    Lines::new(bytes).find_map(|line| words(line).next())
+    let is_comment = |word: &[u8]| word.starts_with(b";") || word.starts_with(b"//");
+    Lines::new(bytes).find_map(|line| words(line).next().filter(|word| !is_comment(word)))
+}
+
+/// Whether one of the first lines is a vertex of OBJ; the first line may be free text.
+fn has_vertex(bytes: &[u8]) -> bool {
+    const LINES: usize = 100;
+    let is_vertex = |line: &[u8]| {
+        let mut words = words(line);
+        let is_v = words.next() == Some(b"v");
+        is_v && words.filter(|word| text::number(word).is_ok()).count() >= 3
+    };
+    Lines::new(bytes).take(LINES).any(is_vertex)
 }
 
 #[cfg(test)]

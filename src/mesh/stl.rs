@@ -3,11 +3,12 @@
 //!
 //! Where the format is loosely kept:
 //! - Binary: fewer than 50 bytes (one triangle) after the last triangle are
-//!   ignored; a count that leaves out whole triangles is refused.
-//! - ASCII: any case, blanks and line ends, `#` comments, several solids, empty
-//!   solids beside others. A missing `endsolid` is refused, since a file cut off
-//!   between two facets looks just like that.
+//!   ignored and listed; a count that leaves out whole triangles is refused.
+//! - ASCII: any case, blanks and line ends, comments (`#`, `;`, `//`), lines of colours, several solids, empty
+//!   solids among others, `end loop` for `endloop`, facets without a normal. A missing `endsolid` and text after
+//!   the last solid give a warning, since a file cut off between two facets looks just like that.
 
+use super::ignored::Collector;
 use super::text::{self, quote};
 use super::{Mesh, Source, sniff, weld};
 use crate::error::{Error, Place};
@@ -20,8 +21,14 @@ const HEADER: usize = 84;
 const RECORD: usize = 50;
 
 /// Binary STL: an 80-byte header, a count, 50 bytes a triangle.
-pub fn binary(source: &Source) -> Result<Mesh, Error> {
+pub fn binary(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
     let records = records(source)?;
+    let rest = &source.bytes[HEADER + records.len() * RECORD..];
+    if !rest.is_empty() {
+        let (bytes, count) = (text::count(rest.len(), "byte"), records.len());
+        let name = format!("{bytes} after the {count} triangles that the file announces");
+        ignored.shape(name);
+    }
     // −0 and +0 are one place.
     let coordinate = |b: &[u8; 4]| match u32::from_le_bytes(*b) {
         0x8000_0000 => 0,
@@ -82,9 +89,10 @@ fn records<'a>(source: &Source<'a>) -> Result<&'a [[u8; RECORD]], Error> {
 }
 
 /// ASCII STL.
-pub fn ascii(source: &Source) -> Result<Mesh, Error> {
+pub fn ascii(source: &Source, ignored: &mut Collector) -> Result<Mesh, Error> {
     let mut reader = Ascii {
         source,
+        ignored,
         lines: text::Lines::new(source.bytes),
         words: Vec::new(),
         next: 0,
@@ -92,8 +100,13 @@ pub fn ascii(source: &Source) -> Result<Mesh, Error> {
     };
     let mut solids = 0;
     while reader.advance() {
-        reader.expect("solid")?;
-        reader.solid()?;
+        if !reader.next_is("solid") {
+            reader.surplus()?;
+            continue;
+        }
+        while reader.solid()? {
+            solids += 1;
+        }
         solids += 1;
     }
     if reader.corners.is_empty() {
@@ -120,6 +133,7 @@ struct Ascii<'a> {
     next: usize,
     /// Three a triangle, in the file's unit.
     corners: Vec<DVec3>,
+    ignored: &'a mut Collector,
 }
 
 impl<'a> Ascii<'a> {
@@ -130,10 +144,47 @@ impl<'a> Ascii<'a> {
                 return false;
             };
             self.words.clear();
-            self.words.extend(text::words(line));
             self.next = 0;
+            let mut words = text::words(line);
+            let Some(first) = words.next() else {
+                continue;
+            };
+            if first.starts_with(b";") || first.starts_with(b"//") {
+                self.ignored.harmless("comments");
+            } else if [&b"color"[..], b"colour"].contains(&&*first.to_ascii_lowercase()) {
+                self.ignored.harmless("colours");
+            } else {
+                self.words.push(first);
+                self.words.extend(words);
+            }
         }
         true
+    }
+
+    /// Whether the next word of the line is this one.
+    fn next_is(&self, keyword: &str) -> bool {
+        is(self.words.get(self.next), keyword)
+    }
+
+    /// Passes over text after a solid.
+    fn surplus(&mut self) -> Result<(), Error> {
+        let word = self.words[self.next];
+        if self.corners.is_empty() {
+            return Err(self.error(quote(word), "solid"));
+        }
+        match self.words[self.next..]
+            .iter()
+            .all(|word| text::is_padding(word))
+        {
+            true => self.ignored.harmless("NUL bytes after the last solid"),
+            false => {
+                let line = self.lines.number;
+                let name = |_: &str| format!("text after a solid, first on line {line}");
+                self.ignored.add("text after a solid", true, name);
+            }
+        }
+        self.next = self.words.len();
+        Ok(())
     }
 
     /// The next word, which should be `expected`.
@@ -155,22 +206,50 @@ impl<'a> Ascii<'a> {
         if word.eq_ignore_ascii_case(keyword.as_bytes()) {
             return Ok(());
         }
+        // "end loop" for "endloop".
+        if let Some(rest) = keyword.strip_prefix("end")
+            && word.eq_ignore_ascii_case(b"end")
+        {
+            return self.expect(rest);
+        }
         Err(self.error(quote(word), keyword))
     }
 
-    /// A solid's name is free text, in any encoding.
-    fn skip_line(&mut self) {
-        self.next = self.words.len();
+    /// Passes over a solid's name, free text in any encoding, up to what `begins` tells to be the next statement: a
+    /// whole file may be one line.
+    fn skip_name(&mut self, begins: impl Fn(&[&[u8]]) -> bool) {
+        let rest = &self.words[self.next..];
+        let name = (0..rest.len()).find(|&i| begins(&rest[i..]));
+        self.next += name.unwrap_or(rest.len());
     }
 
-    fn solid(&mut self) -> Result<(), Error> {
+    /// Reads a solid. Returns whether another begins where its end is missing.
+    fn solid(&mut self) -> Result<bool, Error> {
         const NEXT: &str = "facet or endsolid";
-        self.skip_line();
+        self.expect("solid")?;
+        let is_facet = |words: &[&[u8]]| {
+            let at = |i: usize, keyword: &str| is(words.get(i), keyword);
+            at(0, "facet") && at(1, "normal") && at(5, "outer") && at(6, "loop")
+        };
+        self.skip_name(is_facet);
         loop {
+            if !self.advance() || self.next_is("solid") {
+                // Cut off within a facet is refused there.
+                let line = self.lines.number;
+                let name = |_: &str| {
+                    format!("the end of a solid, missing at line {line} (is the file cut off?)")
+                };
+                self.ignored.add("the end of a solid", true, name);
+                return Ok(self.next < self.words.len());
+            }
             let word = self.word(NEXT)?;
-            if word.eq_ignore_ascii_case(b"endsolid") {
-                self.skip_line();
-                return Ok(());
+            let ends = word.eq_ignore_ascii_case(b"endsolid");
+            if ends || word.eq_ignore_ascii_case(b"end") && self.next_is("solid") {
+                self.next += usize::from(!ends);
+                self.skip_name(|words| {
+                    is(words.first(), "solid") && (1..words.len()).any(|i| is_facet(&words[i..]))
+                });
+                return Ok(false);
             }
             if !word.eq_ignore_ascii_case(b"facet") {
                 return Err(self.error(quote(word), NEXT));
@@ -180,10 +259,15 @@ impl<'a> Ascii<'a> {
     }
 
     fn facet(&mut self) -> Result<(), Error> {
-        self.expect("normal")?;
-        for _ in 0..3 {
-            // Whatever it is: normals like "-nan(ind)" are common.
-            self.word("three components of the normal")?;
+        const NORMAL: &str = "normal or outer";
+        // Whatever it is: normals like "-nan(ind)" are common, and some programs write none.
+        if self.advance() && !self.next_is("outer") {
+            self.expect("normal")?;
+            for _ in 0..3 {
+                if self.advance() && !self.next_is("outer") {
+                    self.word(NORMAL)?;
+                }
+            }
         }
         self.expect("outer")?;
         self.expect("loop")?;
@@ -206,10 +290,14 @@ impl<'a> Ascii<'a> {
     }
 }
 
+fn is(word: Option<&&[u8]>, keyword: &str) -> bool {
+    word.is_some_and(|word| word.eq_ignore_ascii_case(keyword.as_bytes()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::parse;
+    use crate::mesh::{parse, parse_whole};
     use proptest::prelude::*;
     use std::path::Path;
 
@@ -286,21 +374,96 @@ mod tests {
                 "vertex 1 1 0\nendloop",
                 "a.stl:7: found \"vertex\", expected endloop",
             ),
-            ("endsolid a\n", "", "a.stl:8: found the end of the file"),
             (
-                "endsolid a\n",
-                "endsolid a\nsolid b\n",
-                "a.stl:10: found the end of the file",
+                "endfacet\nendsolid a\n",
+                "",
+                "a.stl:7: found the end of the file",
             ),
             (
-                "endsolid a\n",
-                "endsolid a\nrubbish\n",
-                "a.stl:10: found \"rubbish\"",
+                "endfacet\nendsolid a\n",
+                "endfacet\nrubbish\nendsolid a\n",
+                "a.stl:9: found \"rubbish\"",
+            ),
+            (
+                "endloop",
+                "end facet",
+                "a.stl:7: found \"facet\", expected loop",
             ),
         ] {
             let error = fails(good.replace(from, to).as_bytes());
             assert!(error.contains(words), "{error}");
         }
+    }
+
+    /// Looseness that programs write, in places drawn from a seed: none changes the triangles.
+    #[test]
+    fn loose_files_are_read_and_what_is_left_out_is_listed() {
+        let good = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n\
+                    vertex 0 1 0\nendloop\nendfacet\nfacet normal 0 0 1\nouter loop\nvertex 1 0 0\nvertex 1 1 0\n\
+                    vertex 0 1 0\nendloop\nendfacet\nendsolid a\n";
+        let read =
+            |bytes: &[u8]| parse_whole(Path::new("a.stl"), bytes, 1.0).map_err(|e| e.to_string());
+        let plain = read(good.as_bytes()).unwrap();
+        assert_eq!(plain.ignored, []);
+        let lines: Vec<&str> = good.lines().collect();
+        for seed in 0..200usize {
+            let at = 1 + seed * 7919 % (lines.len() - 1);
+            let inserted = |line: &str| {
+                let mut lines = lines.clone();
+                lines.insert(at, line);
+                lines.join("\n")
+            };
+            let tail = "\0".repeat(1 + seed % 50);
+            for (text, name, changes_shape) in [
+                (inserted("color 0.5 0.5 1"), "colours", false),
+                (inserted("  COLOUR 1 2 3"), "colours", false),
+                (inserted("; made by"), "comments", false),
+                (inserted("// vertex 1 2 3"), "comments", false),
+                (good.replace("endloop", "end loop"), "", false),
+                (good.replace("endfacet", "END FACET"), "", false),
+                (good.replace("endsolid", "end solid"), "", false),
+                (good.replace("normal 0 0 1", ""), "", false),
+                (good.replace('\n', " "), "", false),
+                (format!("{good}{tail}"), "NUL bytes", false),
+                (
+                    format!("{good}\nExported by {seed}\n"),
+                    "text after a solid, first on line 18",
+                    true,
+                ),
+                (good.replace("endsolid a\n", ""), "the end of a solid", true),
+                (format!("; head\n// head\n{good}"), "comments", false),
+            ] {
+                let contents =
+                    read(text.as_bytes()).unwrap_or_else(|error| panic!("{error}: {text}"));
+                assert_eq!(contents.mesh, plain.mesh, "{text}");
+                let names: Vec<_> = contents
+                    .ignored
+                    .iter()
+                    .map(|i| (i.name.as_str(), i.changes_shape))
+                    .collect();
+                match name {
+                    "" => assert_eq!(names, [], "{text}"),
+                    name => assert!(
+                        names.len() == 1
+                            && names[0].0.contains(name)
+                            && names[0].1 == changes_shape,
+                        "{names:?}"
+                    ),
+                }
+            }
+        }
+        // Solids without an end, one after another.
+        let open = good.replace("endsolid a\n", "");
+        let three = read(open.repeat(3).as_bytes()).unwrap();
+        assert_eq!((three.mesh.triangles.len(), three.ignored[0].count), (6, 3));
+        let mut binary = encode(&[TRIANGLE; 3]);
+        binary.extend([0; 17]);
+        let names = read(&binary).unwrap().ignored;
+        assert_eq!(
+            names[0].name,
+            "17 bytes after the 3 triangles that the file announces"
+        );
+        assert!(names[0].changes_shape);
     }
 
     proptest! {

@@ -92,6 +92,17 @@ pub fn fortran(word: &[u8]) -> Option<String> {
     (before && after).then(|| format!("{}e{}", &text[..at], &text[at + 1..]))
 }
 
+/// Whether there is nothing but NULs and blanks.
+pub fn is_padding(bytes: &[u8]) -> bool {
+    bytes.iter().all(|b| *b == 0 || b.is_ascii_whitespace())
+}
+
+/// A number of things, as "1 byte" and "2 bytes".
+pub fn count(number: usize, thing: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{number} {thing}{plural}")
+}
+
 /// A piece of a file for an error message: short, one line, printable.
 pub fn quote(bytes: &[u8]) -> String {
     const LONGEST: usize = 40;

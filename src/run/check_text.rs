@@ -91,6 +91,9 @@ fn part(scene: &Scene, mesh: &MeshReport) -> String {
     if let Some(unit) = scene.mesh_unit {
         text += &line("unit of the file", &unit.to_string());
     }
+    for ignored in scene.mesh_ignored.iter() {
+        text += &line("not read", &ignored.to_string());
+    }
     if scene.copies.len() > 1 {
         let size = scene.bounds().size();
         let [x, y, z] = size.to_array().map(short);

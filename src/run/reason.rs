@@ -42,6 +42,11 @@ pub enum Reason {
         /// Points with the flag saturated.
         saturated: usize,
     },
+    /// The mesh's file has content that was not used and without which the part may have another shape.
+    MeshIncomplete {
+        /// Each in words.
+        ignored: Vec<String>,
+    },
     /// All frames are taken at the same place.
     NoMotion {
         /// Number of frames.
@@ -299,6 +304,11 @@ impl Reason {
     /// Where sensor, path and part are.
     fn of_the_setup(&self) -> Option<String> {
         Some(match self {
+            Reason::MeshIncomplete { ignored } => format!(
+                "The part may have another shape than its file states, for these were not read: {}. Export the part \
+                 from its program as plain triangles, with everything applied.",
+                ignored.join("; ")
+            ),
             Reason::NoMotion { frames } => format!(
                 "Sensor and part do not move: all {frames} frames are taken at the same place. \
                  Give the path a step other than 0, or the scan one frame."

@@ -457,6 +457,7 @@ fn summary(
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
         uncertainty: UncertaintyStatistics::of(points),
+        mesh_ignored: scene.mesh_ignored.to_vec(),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),
         tolerance: Vec::new(),

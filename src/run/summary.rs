@@ -6,6 +6,7 @@ use crate::inspect::bands::RegionVerdict;
 use crate::inspect::coverage::SurfaceCoverage;
 use crate::inspect::deviation::DeviationStatistics;
 use crate::inspect::uncertainty::UncertaintyStatistics;
+use crate::mesh::Ignored;
 use crate::plan::accuracy::Accuracy;
 use crate::profile::Filters;
 use serde::Serialize;
@@ -34,6 +35,8 @@ pub struct ScanSummary {
     pub deviation_of_all: Option<DeviationStatistics>,
     /// `null` if no point is free of flags.
     pub uncertainty: Option<UncertaintyStatistics>,
+    /// Content of the mesh's file that was not used.
+    pub mesh_ignored: Vec<Ignored>,
     /// What was done to profiles before they became points.
     pub filters: Filters,
     /// Number of points with each flag.

@@ -42,6 +42,7 @@ pub(crate) fn foreseen_of(simulation: &Simulation, frames: Range<u32>) -> Forese
         scene, accel, plan, ..
     } = simulation;
     let mut reasons = Vec::new();
+    reasons.extend(mesh_incomplete(scene));
     reasons.extend(no_motion(scene, &frames));
     reasons.extend(sensor_and_part(scene, accel, &frames));
     reasons.extend(
@@ -123,6 +124,12 @@ pub fn refuse(warnings: &[Warning], strict: bool) -> Result<()> {
             warnings.iter().map(|w| w.message.clone()).collect(),
         )),
     }
+}
+
+fn mesh_incomplete(scene: &Scene) -> Option<Reason> {
+    let shapes = { scene.mesh_ignored.iter() }.filter(|ignored| ignored.changes_shape);
+    let ignored: Vec<String> = shapes.map(ToString::to_string).collect();
+    (!ignored.is_empty()).then_some(Reason::MeshIncomplete { ignored })
 }
 
 fn no_motion(scene: &Scene, frames: &Range<u32>) -> Option<Reason> {

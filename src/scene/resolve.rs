@@ -2,7 +2,7 @@
 
 use super::accept_table::AcceptTable;
 use super::data_sheet::SolvedValue;
-use super::file::{PartTable, PlanTable, SceneFile};
+use super::file::{MeshTable, PartTable, PlanTable, SceneFile};
 use super::locate::Source;
 use super::path::ScanPath;
 use super::resolver::Resolver;
@@ -16,7 +16,7 @@ use crate::inspect::bands::Band;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
 use crate::mesh::shapes::{self, WrongSize};
-use crate::mesh::{self, Groups, Mesh, Watch};
+use crate::mesh::{self, Contents, Groups, Ignored, Mesh, Watch};
 use crate::profile::{Calibration, Choice, Filters, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::surface::Surfaces;
@@ -84,6 +84,9 @@ pub struct Scene {
     #[serde(skip)]
     #[doc(hidden)]
     pub groups: Arc<Groups>,
+    /// Content of the mesh's file that was not used.
+    #[serde(serialize_with = "each")]
+    pub mesh_ignored: Arc<[Ignored]>,
     /// Unit of the mesh's file; `None`: the file states it, or the mesh is a shape of the scene's.
     #[doc(hidden)]
     pub mesh_unit: Option<Unit>,
@@ -289,10 +292,18 @@ fn number<S: serde::Serializer>(
     serializer.serialize_u64(copies.len() as u64)
 }
 
+fn each<S: serde::Serializer>(
+    ignored: &[Ignored],
+    serializer: S,
+) -> std::result::Result<S::Ok, S::Error> {
+    serializer.collect_seq(ignored)
+}
+
 /// A part's triangles.
 struct PartMesh {
     mesh: Arc<Mesh>,
     groups: Arc<Groups>,
+    ignored: Arc<[Ignored]>,
     /// What stands for a mesh file in the scene's hash.
     hash: Vec<u8>,
     /// If the file does not state one itself.
@@ -300,10 +311,11 @@ struct PartMesh {
 }
 
 impl PartMesh {
-    fn new((mesh, groups): (Mesh, Groups), hash: Vec<u8>, unit: Option<Unit>) -> PartMesh {
+    fn new(contents: Contents, hash: Vec<u8>, unit: Option<Unit>) -> PartMesh {
         PartMesh {
-            mesh: Arc::new(mesh),
-            groups: Arc::new(groups),
+            mesh: Arc::new(contents.mesh),
+            groups: Arc::new(contents.groups),
+            ignored: contents.ignored.into(),
             hash,
             unit,
         }
@@ -314,6 +326,7 @@ impl PartMesh {
         PartMesh {
             mesh: scene.mesh.clone(),
             groups: scene.groups.clone(),
+            ignored: scene.mesh_ignored.clone(),
             hash: Vec::from(&*scene.hash),
             unit: scene.mesh_unit,
         }
@@ -331,6 +344,7 @@ impl Resolver<'_> {
         let PartMesh {
             mesh,
             groups,
+            ignored: mesh_ignored,
             hash: mesh_hash,
             unit: mesh_unit,
         } = match like {
@@ -365,10 +379,9 @@ impl Resolver<'_> {
             (file.write_frames, laser.fan.is_some()),
             by_field,
         )?;
-        let hashed = [mesh_hash, copies_hash, poses_hash, calibration_hash];
         Ok(Scene {
             path: self.path.to_owned(),
-            hash: self.hash(&hashed),
+            hash: self.hash(&[mesh_hash, copies_hash, poses_hash, calibration_hash]),
             seed: file.seed,
             speckle,
             write_frames: file.write_frames,
@@ -378,6 +391,7 @@ impl Resolver<'_> {
             part,
             mesh,
             groups,
+            mesh_ignored,
             mesh_unit,
             chord,
             copies,
@@ -475,6 +489,39 @@ impl Resolver<'_> {
         Ok((Some(calibration), Sha256::digest(&bytes).to_vec()))
     }
 
+    fn mesh_of_file(&self, table: &MeshTable) -> Result<PartMesh> {
+        let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
+        let bytes = mesh::read(&file, self.watch)?;
+        let unit_by = mesh::unit_by(&file, &bytes)?;
+        let unit = match unit_by {
+            _ if table.unit.is_some() => table.unit,
+            mesh::UnitBy::User => return Err(self.source.missing("part.mesh.unit")),
+            mesh::UnitBy::Metres => Some(Unit::Metre),
+            mesh::UnitBy::File => None,
+        };
+        let (contents, hash) = rayon::join(
+            || mesh::parse_whole(&file, &bytes, unit.map(Unit::mm)),
+            || Sha256::digest(&bytes).to_vec(),
+        );
+        let (contents, mut hash) = (contents?, hash);
+        let mesh = &contents.mesh;
+        if unit_by == mesh::UnitBy::Metres {
+            // Its numbers may stand in other files.
+            let numbers = mesh
+                .positions
+                .iter()
+                .flat_map(|p| p.to_array().map(f64::to_le_bytes));
+            let numbers: Vec<u8> = numbers.flatten().collect();
+            hash.extend(Sha256::digest(numbers));
+        }
+        if !mesh::has_area(mesh) {
+            let found = format!("{} triangles, all without area", mesh.triangles.len());
+            let expected = "a mesh with a surface";
+            return Err(InputError::new(&file, Place::File, found, expected).into());
+        }
+        Ok(PartMesh::new(contents, hash, unit))
+    }
+
     fn mesh(&self, part: &PartTable) -> Result<PartMesh> {
         let kinds = [
             part.mesh.is_some(),
@@ -489,42 +536,21 @@ impl Resolver<'_> {
             "exactly one of mesh, plane, sphere, cylinder and step_block",
         )?;
         let shape = |table: &str, shape: std::result::Result<Mesh, WrongSize>| match shape {
-            Ok(mesh) => Ok(PartMesh::new((mesh, Groups::default()), Vec::new(), None)),
+            Ok(mesh) => {
+                let contents = Contents {
+                    mesh,
+                    groups: Groups::default(),
+                    ignored: Vec::new(),
+                };
+                Ok(PartMesh::new(contents, Vec::new(), None))
+            }
             Err(wrong) => {
                 let key = format!("{table}.{}", wrong.argument);
                 Err(self.source.wrong(&key, &wrong.expected))
             }
         };
         if let Some(table) = &part.mesh {
-            let file = self.file(&table.file, "part.mesh.file", "a mesh file")?;
-            let bytes = mesh::read(&file, self.watch)?;
-            let unit_by = mesh::unit_by(&file, &bytes)?;
-            let unit = match unit_by {
-                _ if table.unit.is_some() => table.unit,
-                mesh::UnitBy::User => return Err(self.source.missing("part.mesh.unit")),
-                mesh::UnitBy::Metres => Some(Unit::Metre),
-                mesh::UnitBy::File => None,
-            };
-            let (mesh, hash) = rayon::join(
-                || mesh::parse_named(&file, &bytes, unit.map(Unit::mm)),
-                || Sha256::digest(&bytes).to_vec(),
-            );
-            let ((mesh, groups), mut hash) = (mesh?, hash);
-            if unit_by == mesh::UnitBy::Metres {
-                // Its numbers may stand in other files.
-                let numbers = mesh
-                    .positions
-                    .iter()
-                    .flat_map(|p| p.to_array().map(f64::to_le_bytes));
-                let numbers: Vec<u8> = numbers.flatten().collect();
-                hash.extend(Sha256::digest(numbers));
-            }
-            if !mesh::has_area(&mesh) {
-                let found = format!("{} triangles, all without area", mesh.triangles.len());
-                let expected = "a mesh with a surface";
-                return Err(InputError::new(&file, Place::File, found, expected).into());
-            }
-            return Ok(PartMesh::new((mesh, groups), hash, unit));
+            return self.mesh_of_file(table);
         }
         if let Some(table) = &part.plane {
             return shape("part.plane", shapes::plane(table.size_mm.into()));

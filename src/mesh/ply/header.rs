@@ -299,7 +299,7 @@ mod tests {
             (
                 "element face 1",
                 "element face 0",
-                "a.ply:15: found more data",
+                "no triangles (a PLY of 3 vertex, 0 face; not read: 8 bytes after the last element)",
             ),
             (
                 "3 0 1 2",

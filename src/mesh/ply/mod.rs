@@ -1,14 +1,14 @@
 //! PLY (Turk, 1994), ASCII and binary of either byte order.
 //!
 //! Wanted are `x`, `y`, `z` of element `vertex` and the list `vertex_indices`
-//! (or `vertex_index`) of element `face`, and of its whole numbers `material_index`, which names the face; everything
-//! else is stepped over. Faces of one or two corners have no area and are passed over. After
-//! the last element blank lines (ASCII) or too few bytes for one more of it
-//! (binary) are ignored; more is refused, since then the counts are wrong.
+//! (or `vertex_index`) of the elements `face`, `tristrips` and `trifans`, and of a face's whole numbers
+//! `material_index`, which names it. Faces of one or two corners have no area and are passed over. Other elements and
+//! bytes after the last element are listed. In strips and fans, −1 begins another.
 
 use header::{Element, Encoding, Scalar};
 
 use super::groups::{Groups, NONE, Namer};
+use super::ignored::Collector;
 use super::polygon::{Cutter, MOST_CORNERS, TOO_MUCH};
 use super::text::{self, Lines, quote, words};
 use super::{Mesh, Source};
@@ -17,7 +17,26 @@ use crate::math::DVec3;
 
 mod header;
 
-pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
+/// Which triangles a list of vertices makes.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Face,
+    Strip,
+    Fan,
+}
+
+impl Kind {
+    fn of(element: &Element) -> Option<Kind> {
+        Some(match element.name {
+            b"face" => Kind::Face,
+            b"tristrips" => Kind::Strip,
+            b"trifans" => Kind::Fan,
+            _ => return None,
+        })
+    }
+}
+
+pub fn read(source: &Source, ignored: &mut Collector) -> Result<(Mesh, Groups), Error> {
     let mut lines = Lines::new(source.bytes);
     let (encoding, elements) = header::read(source, &mut lines)?;
     header::check_counts(source, encoding, &elements, lines.offset)?;
@@ -31,30 +50,42 @@ pub fn read(source: &Source) -> Result<(Mesh, Groups), Error> {
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
     let mut namer = Namer::default();
-    // Faces that stand before the vertices, and where.
-    let mut early = None;
+    // Faces before the vertices, and where they are.
+    let mut early = Vec::new();
     for (i, element) in elements.iter().enumerate() {
         let vertices_follow = || elements[i..].iter().any(|e| e.name == b"vertex");
-        match element.name {
-            b"vertex" => body.vertices(element, &mut positions)?,
-            b"face" if vertices_follow() => {
-                early = Some((element, body.offset, body.lines.clone()));
+        match (element.name, Kind::of(element)) {
+            (b"vertex", _) => body.vertices(element, &mut positions)?,
+            (_, Some(_)) if element.count == 0 => {}
+            (_, Some(kind)) if vertices_follow() => {
+                early.push((kind, element, body.offset, body.lines.clone()));
                 body.skip(element)?;
             }
-            b"face" => body.faces(element, &positions, &mut triangles, &mut namer)?,
-            _ => body.skip(element)?,
+            (_, Some(kind)) => {
+                body.faces(kind, element, &positions, &mut triangles, &mut namer)?;
+            }
+            _ => {
+                if element.count > 0 {
+                    let has_list = element.properties.iter().any(|p| p.count.is_some());
+                    let name = format!("the element {} ({})", quote(element.name), element.count);
+                    // A list may be one of vertices, as a grid's.
+                    ignored.add(&name, has_list, str::to_owned);
+                }
+                body.skip(element)?;
+            }
         }
     }
-    body.end(elements.last().map_or(0, |e| e.least(encoding)))?;
-    if let Some((element, offset, lines)) = early {
+    body.end(ignored);
+    for (kind, element, offset, lines) in early {
         (body.offset, body.lines) = (offset, lines);
-        body.faces(element, &positions, &mut triangles, &mut namer)?;
+        body.faces(kind, element, &positions, &mut triangles, &mut namer)?;
     }
     if triangles.is_empty() {
         let names: Vec<_> = (elements.iter())
             .map(|e| format!("{} {}", e.count, String::from_utf8_lossy(e.name)))
             .collect();
-        return Err(source.no_triangles(&format!("a PLY of {}", names.join(", "))));
+        let instead = format!("a PLY of {}", names.join(", "));
+        return Err(source.no_triangles_but(&instead, ignored));
     }
     let mesh = source.mesh(&positions, &triangles)?;
     Ok((mesh, namer.finish(triangles.len())))
@@ -141,7 +172,7 @@ impl<'a> Body<'a> {
         &mut self,
         element: &Element,
         values: &mut [f64],
-        wanted: Option<usize>,
+        wanted: Option<(usize, Kind)>,
         list: &mut Vec<f64>,
     ) -> Result<(), Error> {
         self.start()?;
@@ -154,18 +185,18 @@ impl<'a> Body<'a> {
             let place = self.place();
             let count = self.scalar(kind)?;
             // Of other lists any length that the file holds will do.
-            let most = if wanted == Some(i) {
-                MOST_CORNERS as f64
-            } else {
-                f64::from(u32::MAX)
+            let most = match wanted {
+                Some((wanted, Kind::Face)) if wanted == i => MOST_CORNERS as f64,
+                _ => f64::from(u32::MAX),
             };
+            let is_wanted = wanted.is_some_and(|(wanted, _)| wanted == i);
             if !(0.0..=most).contains(&count) {
                 let found = format!("a list of {count} items");
                 return Err(self.source.error(place, found, format!("0 to {most}")));
             }
             for _ in 0..count as u64 {
                 let item = self.scalar(property.item)?;
-                if wanted == Some(i) {
+                if is_wanted {
                     list.push(item);
                 }
             }
@@ -210,6 +241,7 @@ impl<'a> Body<'a> {
 
     fn faces(
         &mut self,
+        kind: Kind,
         element: &Element,
         positions: &[DVec3],
         triangles: &mut Vec<[u32; 3]>,
@@ -237,11 +269,18 @@ impl<'a> Body<'a> {
         let mut cutter = Cutter::default();
         for number in 0..element.count {
             let start = self.offset;
-            self.element(element, &mut values, Some(corners), &mut list)?;
+            self.element(element, &mut values, Some((corners, kind)), &mut list)?;
             let place = match self.encoding {
                 Encoding::Ascii => self.place(),
                 _ => Place::Byte(start as u64),
             };
+            if kind != Kind::Face {
+                for part in list.split(|&vertex| vertex == -1.0) {
+                    self.corners(part, number, place, positions, &mut face)?;
+                    triangles.extend(of_strip(kind, &face));
+                }
+                continue;
+            }
             if list.len() < 3 {
                 continue;
             }
@@ -289,16 +328,155 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    /// Refuses data that the header does not announce.
-    fn end(&mut self, least: u64) -> Result<(), Error> {
-        let surplus = match self.encoding {
-            Encoding::Ascii => self.lines.by_ref().any(|line| words(line).next().is_some()),
-            _ => (self.source.bytes.len() - self.offset) as u64 >= least.max(1),
+    /// Lists data after what the header announces.
+    fn end(&mut self, ignored: &mut Collector) {
+        let offset = match self.encoding {
+            Encoding::Ascii => self.lines.offset,
+            _ => self.offset,
         };
-        if surplus {
-            let expected = "the end of the file after the elements that the header announces";
-            return Err(self.source.error(self.place(), "more data", expected));
+        let rest = &self.source.bytes[offset..];
+        if rest.is_empty() || self.encoding == Encoding::Ascii && rest.trim_ascii().is_empty() {
+            return;
         }
-        Ok(())
+        let bytes = text::count(rest.len(), "byte");
+        let name = format!("{bytes} after the last element");
+        match text::is_padding(text::without_end_mark(rest)) {
+            true => ignored.harmless(name),
+            false => ignored.shape(name),
+        }
+    }
+}
+
+/// The triangles of a strip or a fan.
+fn of_strip(kind: Kind, corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+    let triangles = corners.len().saturating_sub(2);
+    (0..triangles).map(move |i| match kind {
+        Kind::Fan => [corners[0], corners[i + 1], corners[i + 2]],
+        // Every other one is turned.
+        _ if i % 2 == 1 => [corners[i + 1], corners[i], corners[i + 2]],
+        _ => [corners[i], corners[i + 1], corners[i + 2]],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::mesh::{Contents, parse_whole};
+    use std::path::Path;
+
+    fn read(text: &[u8]) -> Contents {
+        parse_whole(Path::new("a.ply"), text, 1.0).unwrap()
+    }
+
+    fn header(format: &str, rest: &str) -> String {
+        format!(
+            "ply\nformat {format} 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n{rest}end_header\n"
+        )
+    }
+
+    /// Strips and fans of random vertices, with ends between them, against triangles by their definition; before the
+    /// vertices and after them, as text and in binary form.
+    #[test]
+    fn strips_and_fans_are_triangles() {
+        for seed in 1..40u64 {
+            let mut state = seed;
+            let mut number = |below: u64| {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                (state >> 33) % below
+            };
+            let is_fan = number(2) == 1;
+            let list: Vec<i32> = (0..30).map(|_| number(10) as i32 - 1).collect();
+            let mut expected = Vec::new();
+            for run in list.split(|&v| v < 0) {
+                for i in 2..run.len() {
+                    expected.push(match (is_fan, i % 2) {
+                        (true, _) => [run[0], run[i - 1], run[i]],
+                        (false, 0) => [run[i - 2], run[i - 1], run[i]],
+                        (false, _) => [run[i - 1], run[i - 2], run[i]],
+                    });
+                }
+            }
+            if expected.is_empty() {
+                continue;
+            }
+            let name = if is_fan { "trifans" } else { "tristrips" };
+            let element = format!("element {name} 1\nproperty list int int vertex_indices\n");
+            let at = |v: i32| [v * v, v, 0];
+            let words = |numbers: &mut dyn Iterator<Item = i32>| {
+                numbers.map(|n| format!("{n} ")).collect::<String>()
+            };
+            let vertices: String = (0..9)
+                .map(|v| words(&mut at(v).into_iter()) + "\n")
+                .collect();
+            let faces = format!("30 {}\n", words(&mut list.iter().copied()));
+            let after = header("ascii", &element) + &vertices + &faces;
+            let before = header("ascii", "").replacen(
+                "element vertex",
+                &(element.clone() + "element vertex"),
+                1,
+            ) + &faces
+                + &vertices;
+            let mut binary = header("binary_little_endian", &element).into_bytes();
+            binary.extend((0..9).flat_map(at).flat_map(|x| (x as f32).to_le_bytes()));
+            binary.extend([30].iter().chain(&list).flat_map(|x| x.to_le_bytes()));
+            for bytes in [after.into_bytes(), before.into_bytes(), binary] {
+                let contents = read(&bytes);
+                assert_eq!(contents.ignored, []);
+                let found: Vec<[i32; 3]> = (0..contents.mesh.triangles.len())
+                    .map(|i| contents.mesh.triangle(i).map(|p| p.y as i32))
+                    .collect();
+                assert_eq!(found, expected, "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn other_data_is_listed() {
+        let faces = "element face 1\nproperty list uchar int vertex_indices\n";
+        let vertices = "0 0 0\n1 0 0\n0 1 0\n".repeat(3);
+        let good = header("ascii", faces) + &vertices + "3 0 1 2\n";
+        assert_eq!(read(good.as_bytes()).ignored, []);
+        let edges = header(
+            "ascii",
+            &format!("{faces}element edge 2\nproperty int vertex1\nproperty int vertex2\n"),
+        );
+        let grid = header(
+            "ascii",
+            &format!("{faces}element grid 1\nproperty list uchar int vertex_indices\n"),
+        );
+        for (text, name, changes_shape) in [
+            (
+                format!("{good}\0\0\0"),
+                "3 bytes after the last element",
+                false,
+            ),
+            (
+                format!("{good}3 0 1 2\n"),
+                "8 bytes after the last element",
+                true,
+            ),
+            (
+                format!("{edges}{vertices}3 0 1 2\n0 1\n1 2\n"),
+                "the element \"edge\" (2)",
+                false,
+            ),
+            (
+                format!("{grid}{vertices}3 0 1 2\n1 0\n"),
+                "the element \"grid\" (1)",
+                true,
+            ),
+        ] {
+            let contents = read(text.as_bytes());
+            assert_eq!(contents.mesh.triangles.len(), 1);
+            let ignored = &contents.ignored;
+            assert_eq!(ignored.len(), 1, "{ignored:?}");
+            assert_eq!(
+                (ignored[0].name.as_str(), ignored[0].changes_shape),
+                (name, changes_shape)
+            );
+        }
+        let with_mark = [b"\xef\xbb\xbf", good.as_bytes()].concat();
+        assert_eq!(read(&with_mark), read(good.as_bytes()));
     }
 }

@@ -1,0 +1,240 @@
+//! A 3MF file as an archive of XML files.
+
+use super::{WHOLE, wrong};
+use crate::error::{Error, InputError, Place, printable};
+use crate::mesh::text::{self, quote};
+use crate::mesh::{Source, memory};
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::name::{NamespaceResolver, PrefixDeclaration, ResolveResult};
+use quick_xml::{NsReader, XmlVersion};
+use std::collections::HashMap;
+use std::io::{BufReader, Cursor, Read};
+use std::path::{Path, PathBuf};
+use zip::ZipArchive;
+
+/// Bytes of memory for a byte of XML: the shortest vertex takes 24 for `<vertex x="0" y="0" z="0"/>`.
+const PER_XML_BYTE: u64 = 1;
+/// Times that all XML together may be larger than the archive. Meshes are compressed to a tenth, regular grids
+/// included; the format of the archive allows a thousandth.
+const LARGEST_RATIO: u64 = 30;
+/// Bytes of XML that any archive may hold.
+const ANYWAY: u64 = 1 << 24;
+/// Bytes of an element on average, at the least, beyond the first million elements: a triangle has 31 and more.
+const LEAST_PER_ELEMENT: u64 = 16;
+const MANY: u64 = 1_000_000;
+/// Elements within elements: real files have ten.
+const DEEPEST: usize = 64;
+
+pub struct Package<'a> {
+    source: &'a Source<'a>,
+    archive: ZipArchive<Cursor<&'a [u8]>>,
+    /// Numbers of the entries by their names as [`plain`] writes them.
+    entries: HashMap<String, usize>,
+    /// Bytes of XML that may still be read.
+    left: u64,
+}
+
+impl<'a> Package<'a> {
+    pub fn new(source: &'a Source<'a>) -> Result<Package<'a>, Error> {
+        let archive = ZipArchive::new(Cursor::new(source.bytes));
+        let archive = archive.map_err(|error| wrong(source, error.to_string(), WHOLE))?;
+        let names = archive.file_names_raw().enumerate();
+        let entries = names.map(|(i, name)| (plain(&String::from_utf8_lossy(name)), i));
+        Ok(Package {
+            source,
+            entries: entries.collect(),
+            archive,
+            left: (LARGEST_RATIO * source.bytes.len() as u64).max(ANYWAY),
+        })
+    }
+
+    pub fn source(&self) -> &'a Source<'a> {
+        self.source
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.entries.contains_key(&plain(name))
+    }
+
+    /// Calls `take` for each element of an XML file, in the file's order.
+    pub fn elements(
+        &mut self,
+        name: &str,
+        mut take: impl FnMut(&Element) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        // A name in the archive may begin with a slash.
+        let path = self.source.path.join(name.trim_start_matches('/'));
+        let missing = || wrong(self.source, format!("{name}: no such file in it"), WHOLE);
+        let number = *self.entries.get(&plain(name)).ok_or_else(missing)?;
+        let entry = self.archive.by_index(number);
+        let entry = entry.map_err(|e| wrong(self.source, format!("{name}: {e}"), WHOLE))?;
+        let size = entry.size();
+        let work = format!("{}: reading {size} bytes", printable::path(&path));
+        memory::require(work, size.saturating_mul(PER_XML_BYTE), memory::available())?;
+        self.left = self.left.checked_sub(size).ok_or_else(|| {
+            let found = format!("{name} of {size} bytes in an archive");
+            let most = (LARGEST_RATIO * self.source.bytes.len() as u64).max(ANYWAY);
+            let expected = format!(
+                "at most {most} bytes of XML, {LARGEST_RATIO} times the archive's {}",
+                self.source.bytes.len()
+            );
+            wrong(self.source, found, &expected)
+        })?;
+        let mut reader = NsReader::from_reader(BufReader::new(entry.take(size)));
+        let (mut buffer, mut around) = (Vec::new(), Vec::<Name>::new());
+        let mut count = 0u64;
+        loop {
+            buffer.clear();
+            let at = reader.buffer_position();
+            let wrong = |error: String, expected: &str| {
+                Error::from(InputError::new(&path, Place::Byte(at), error, expected))
+            };
+            let (is_empty, start) = match reader.read_event_into(&mut buffer) {
+                Err(error) => return Err(wrong(error.to_string(), "whole XML")),
+                Ok(Event::Eof) if around.is_empty() => return Ok(()),
+                Ok(Event::Eof) => {
+                    return Err(wrong("the end of the file".to_owned(), "whole XML"));
+                }
+                Ok(Event::End(_)) => {
+                    around.pop();
+                    continue;
+                }
+                Ok(Event::Start(start)) => (false, start),
+                Ok(Event::Empty(start)) => (true, start),
+                Ok(_) => continue,
+            };
+            count += 1;
+            if count > MANY && count * LEAST_PER_ELEMENT > at {
+                let found = format!("{count} elements in {at} bytes");
+                return Err(wrong(found, "at least 16 bytes an element"));
+            }
+            let names = reader.resolver();
+            let (of, local) = names.resolve_element(start.name());
+            let of = match &of {
+                ResolveResult::Bound(uri) => uri.as_ref(),
+                _ => "",
+            };
+            let element = Element {
+                path: &path,
+                at,
+                namespace: of,
+                name: local.into_inner(),
+                around: &around,
+                start: &start,
+                names,
+            };
+            take(&element)?;
+            if !is_empty {
+                if around.len() == DEEPEST {
+                    let found = format!("elements {DEEPEST} deep");
+                    return Err(wrong(found, "fewer"));
+                }
+                let core = of == super::CORE;
+                let own = element.name;
+                around.push(if core { own.to_owned() } else { String::new() });
+            }
+        }
+    }
+}
+
+/// Name of an element of the core specification, "" of another.
+type Name = String;
+
+/// The name of an entry for comparison: without case, leading slashes and `./`, with `/` for `\`, and percent signs
+/// decoded.
+pub fn plain(name: &str) -> String {
+    let bytes = name.as_bytes();
+    let mut decoded = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while let Some(&byte) = bytes.get(at) {
+        let digits = (byte == b'%').then(|| name.get(at + 1..at + 3)).flatten();
+        match digits.and_then(|digits| u8::from_str_radix(digits, 16).ok()) {
+            Some(byte) => {
+                decoded.push(byte);
+                at += 3;
+            }
+            None => {
+                decoded.push(byte);
+                at += 1;
+            }
+        }
+    }
+    let decoded = String::from_utf8_lossy(&decoded).replace('\\', "/");
+    let mut name = decoded.as_str();
+    while let Some(rest) = name.strip_prefix('/').or(name.strip_prefix("./")) {
+        name = rest;
+    }
+    name.to_lowercase()
+}
+
+/// The start of an XML element.
+pub struct Element<'a> {
+    path: &'a PathBuf,
+    /// Byte of the file.
+    at: u64,
+    /// "" for none.
+    pub namespace: &'a str,
+    pub name: &'a str,
+    around: &'a [Name],
+    start: &'a BytesStart<'a>,
+    names: &'a NamespaceResolver,
+}
+
+impl Element<'_> {
+    /// The names of the elements around it, the innermost first.
+    pub fn parents(&self) -> [&str; 2] {
+        let mut around = self.around.iter().rev().map(String::as_str);
+        [0; 2].map(|_| around.next().unwrap_or_default())
+    }
+
+    pub fn wrong(&self, found: String, expected: &str) -> Error {
+        InputError::new(Path::new(self.path), Place::Byte(self.at), found, expected).into()
+    }
+
+    /// The value of an attribute; `None` where it has none of this name.
+    pub fn text(&self, key: &str) -> Result<Option<String>, Error> {
+        let unreadable = |error: String| self.wrong(error, "whole XML");
+        let found = self.start.try_get_attribute(key);
+        let Some(found) = found.map_err(|e| unreadable(e.to_string()))? else {
+            return Ok(None);
+        };
+        let value = found.normalized_value(XmlVersion::Implicit1_0);
+        let value = value.map_err(|e| unreadable(e.to_string()))?;
+        Ok(Some(value.into_owned()))
+    }
+
+    pub fn needed(&self, key: &str) -> Result<String, Error> {
+        let missing = || self.wrong(format!("<{}> without {key}", self.name), WHOLE);
+        self.text(key)?.ok_or_else(missing)
+    }
+
+    pub fn number(&self, key: &str) -> Result<f64, Error> {
+        let value = self.needed(key)?;
+        text::number(value.trim().as_bytes()).map_err(|found| self.wrong(found, text::NUMBER))
+    }
+
+    /// The number of a vertex, of so many before it.
+    pub fn vertex(&self, key: &str, count: usize) -> Result<u32, Error> {
+        let value = self.needed(key)?;
+        let number = value.trim().parse::<u32>().ok();
+        let wrong = || self.wrong(quote(value.as_bytes()), &format!("a vertex below {count}"));
+        number.filter(|&n| (n as usize) < count).ok_or_else(wrong)
+    }
+
+    /// Calls `take` with namespace, name and prefixed name of each attribute of another namespace.
+    pub fn prefixed(&self, mut take: impl FnMut(&str, &str, &str)) {
+        for attribute in self.start.attributes().with_checks(false).flatten() {
+            let (of, name) = self.names.resolve_attribute(attribute.key);
+            if let ResolveResult::Bound(uri) = of {
+                take(uri.as_ref(), name.as_ref(), attribute.key.as_ref());
+            }
+        }
+    }
+
+    /// The namespace that a prefix stands for.
+    pub fn uri(&self, prefix: &str) -> Option<&str> {
+        let mut bound = self.names.bindings();
+        let found = bound.find(|(name, _)| *name == PrefixDeclaration::Named(prefix));
+        found.map(|(_, uri)| uri.into_inner())
+    }
+}
