@@ -7,6 +7,7 @@
 mod program;
 
 use assert_cmd::Command;
+use lasertrace::math::rng::{Key, Purpose};
 use program::{PLANE, folder_with, scene};
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -589,6 +590,64 @@ fn listens(process: u32) -> bool {
     let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     // SIGTERM is signal 15.
     caught.is_some_and(|mask| mask >> 14 & 1 == 1)
+}
+
+/// A failed assertion of Embree aborts. That is a fault of the program, not temporary: a job
+/// script that repeats what ends with 75 would repeat it for ever.
+#[cfg(target_os = "linux")]
+#[test]
+fn an_abort_is_not_temporary() {
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::{Command, Stdio};
+    let folder = tempfile::tempdir().unwrap();
+    changed(folder.path(), FRAMES, MANY_FRAMES);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_lasertrace"))
+        .args(["scan", "scene.toml", "-o", "out"])
+        .current_dir(folder.path())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while !listens(child.id()) && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let kill = format!("kill -ABRT {}", child.id());
+    let told = Command::new("sh").args(["-c", &kill]).status().unwrap();
+    assert!(told.success());
+    let status = child.wait().unwrap();
+    assert_eq!((status.code(), status.signal()), (None, Some(6)));
+}
+
+/// A head 300 mm beside the part, seen along directions that are almost those of the axes, and
+/// others drawn from a seed: the scene is checked or refused, and never aborts.
+#[test]
+fn a_part_far_beside_the_sensor_is_checked() {
+    let bracket = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/bracket");
+    let text = fs::read_to_string(bracket.join("scene.toml")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    for file in fs::read_dir(&bracket).unwrap() {
+        let file = file.unwrap().path();
+        if file.is_file() {
+            fs::copy(&file, path.join(file.file_name().unwrap())).unwrap();
+        }
+    }
+    let key = Key::new(43, Purpose::SensorNoise);
+    let random = |i: u64, half: f64| {
+        [0, 1, 2].map(|j| (half * (2.0 * key.with(i).uniform(j) - 1.0)).round())
+    };
+    let mut places = vec![([0.0, 300.0, 0.0], [0.0; 3])];
+    places.extend((0..4).map(|i| {
+        (
+            random(i, 400.0),
+            random(10 + i, 2.0).map(|turn| 90.0 * turn),
+        )
+    }));
+    for (at, turn) in places {
+        let placed = format!("[part]\nposition_mm = {at:?}\nrotation_deg = {turn:?}\n");
+        write(path, "scene.toml", text.replace("[part]\n", &placed));
+        let (code, _, stderr) = run(path, "lasertrace check scene.toml");
+        assert!(matches!(code, 0 | 65), "{at:?} {turn:?}: {code}\n{stderr}");
+    }
 }
 
 /// Every command that takes long is told to stop, in whatever it is doing, and does so with

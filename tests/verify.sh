@@ -211,6 +211,23 @@ else
     row "$name" "$(tail -n 1 "$log" | tr '|' ' ')" passed "$met" "$command"
 fi
 
+name='the same frames with every set of vector instructions'
+goal='no byte of an image, a cloud or a truth differs'
+command='tests/instruction_sets.sh target/release/lasertrace out/verify/instructions'
+if ! command -v cc >/dev/null || ! grep -q '^flags' /proc/cpuinfo 2>/dev/null; then
+    skip "$name" "$goal" 'needs cc and an x86-64 machine with Linux' "$command"
+else
+    if [ "$page" = "$out/small.md" ]; then
+        command='tests/instruction_sets.sh target/debug/lasertrace out/verify/instructions small'
+        try build cargo build $features --bin lasertrace
+    else
+        try build cargo build --release --bin lasertrace
+    fi
+    # shellcheck disable=SC2086
+    [ "$met" = no ] || try instructions $command
+    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+fi
+
 name='the program built without Embree'
 command='cargo test --no-default-features --features cli --test measure --test footprint'
 if [ "$page" = "$out/small.md" ]; then

@@ -412,3 +412,181 @@ fn triangles_without_area_are_nearest_but_not_met() {
         }
     }
 }
+
+/// A number of any size that f64 has, of either sign, or one that has caused trouble.
+fn of_any_size(key: Key, j: u64) -> f64 {
+    let special = [0.0, f64::from_bits(1), f64::MIN_POSITIVE, 6.1e-17, 1.0];
+    let pick = (key.uniform(4 * j) * 10.0) as usize;
+    let size = match special.get(pick) {
+        Some(&size) => size,
+        None => 10f64.powf(-323.0 + 623.0 * key.uniform(4 * j + 1)),
+    };
+    size.copysign(key.uniform(4 * j + 2) - 0.5)
+}
+
+/// Sixteen rays, half of the time from one origin, as a frame's packets are: near-axis
+/// directions among them, and origins within ten sizes of the part or anywhere.
+fn rays_of_any_size(bounds: &Aabb, seed: u64, packet: u64) -> Vec<Ray> {
+    let key = Key::new(seed, Purpose::SensorNoise).with(packet);
+    let size = bounds.size().max_element();
+    let (together, aimed) = (key.uniform(0) < 0.5, key.uniform(1) < 0.5);
+    let axis = (key.uniform(2) * 3.0) as usize;
+    let ray = |i: u64| {
+        let own = key.with(100 + i);
+        let from = if together { key.with(1) } else { own };
+        let mut origin = bounds.center() + uniform(from, 1, 10.0 * size);
+        if from.uniform(3) < 0.2 {
+            let any = |j| of_any_size(from.with(2), j).clamp(-1e12, 1e12);
+            origin = DVec3::from_array([0, 1, 2].map(any));
+        }
+        let mut direction = DVec3::from_array([0, 1, 2].map(|j| of_any_size(own.with(3), j)));
+        if aimed {
+            direction = bounds.center() + uniform(own, 4, 0.6 * size) - origin;
+        } else if own.uniform(5) < 0.5 {
+            // Almost along an axis.
+            direction[axis] = 10f64.copysign(own.uniform(6) - 0.5);
+            let shrink = own.uniform(7);
+            direction[(axis + 1) % 3] *= if shrink < 0.5 { 0.0 } else { 1e-17 };
+        }
+        Ray {
+            origin,
+            direction,
+            t_max: match own.uniform(8) < 0.5 {
+                true => f64::INFINITY,
+                false => of_any_size(own.with(9), 0).abs(),
+            },
+        }
+    };
+    (0..WIDTH as u64).map(ray).collect()
+}
+
+/// Parts of several sizes and places.
+fn parts() -> Vec<(f64, Mesh)> {
+    let sizes = [1.0, 1.0, 1e-3, 1e6, 1e11, 1e-12];
+    let offsets = [0.0, 4000.0, 0.0, 1e6, 1e11, 0.0];
+    let mut parts: Vec<(f64, Mesh)> = (sizes.into_iter().zip(offsets))
+        .map(|(size, offset)| {
+            let mut mesh = shapes::sphere(10.0, 0.5).unwrap();
+            for position in &mut mesh.positions {
+                *position = *position * size + DVec3::new(offset, -offset, offset / 3.0);
+            }
+            (size, mesh)
+        })
+        .collect();
+    parts.push((
+        1.0,
+        shapes::plane(crate::math::DVec2::new(90.0, 60.0)).unwrap(),
+    ));
+    parts
+}
+
+/// No public function of rays aborts, hangs or gives a number that is not one, whatever the
+/// sizes of directions, origins and lengths. Where the origin is near the part, a ray that
+/// meets a triangle well away from its edges by brute force meets it here, within a tenth of
+/// `refinement`, and one that passes the box by its whole size meets nothing.
+#[test]
+fn rays_of_any_size_are_traced_or_refused() {
+    for seed in [43, 44, 45] {
+        let (mut met, mut refused) = (0, 0);
+        for (size, mesh) in parts() {
+            let bounds = mesh.bounds();
+            for accel in accels(&mesh) {
+                for packet in 0..120 {
+                    let rays = rays_of_any_size(&bounds, seed, packet);
+                    let good = |ray: &Ray| normalized(*ray).is_ok();
+                    let (good, bad): (Vec<Ray>, Vec<Ray>) = rays.into_iter().partition(good);
+                    refused += bad.len();
+                    for ray in bad {
+                        assert!(closest(&accel, &[ray]).is_err(), "{ray:?}");
+                    }
+                    if good.is_empty() {
+                        continue;
+                    }
+                    let hits = closest(&accel, &good).unwrap();
+                    let some: Vec<bool> = hits.iter().map(SurfacePoint::is_some).collect();
+                    assert_eq!(any(&accel, &good), some);
+                    let unit: Vec<Ray> = good.iter().map(|r| normalized(*r).unwrap().0).collect();
+                    let traced = accel.closest(&unit, |_, _| true);
+                    accel.occluded(&unit);
+                    for ((hit, traced), (ray, unit)) in
+                        hits.iter().zip(traced).zip(good.iter().zip(&unit))
+                    {
+                        if let Some(hit) = traced {
+                            assert!(hit.t.is_finite() && hit.point.is_finite(), "{ray:?}");
+                        }
+                        sound(&accel, &mesh, hit, ray, unit, size);
+                        met += usize::from(hit.is_some());
+                    }
+                    let mut nearest = vec![STALE; good.len()];
+                    accel
+                        .nearest_points(|i| good[i].origin, &mut nearest)
+                        .unwrap();
+                    assert!(
+                        nearest
+                            .iter()
+                            .all(|n| n.distance.is_finite() && n.is_some())
+                    );
+                }
+            }
+        }
+        assert!(met > 500 && refused > 500, "{met} {refused}");
+    }
+}
+
+fn sound(accel: &Accel, mesh: &Mesh, hit: &SurfacePoint, ray: &Ray, unit: &Ray, size: f64) {
+    if hit.is_some() {
+        let [u, v] = hit.barycentric;
+        assert!(hit.distance >= 0.0 && hit.distance <= ray.t_max, "{ray:?}");
+        assert!(DVec3::from_array(hit.point).is_finite(), "{ray:?}");
+        assert!(u >= 0.0 && v >= 0.0 && u + v <= 1.0, "{ray:?}");
+    }
+    let bounds = mesh.bounds();
+    let away = ray.origin.distance(bounds.center());
+    if away > 100.0 * bounds.size().max_element() || !(1e-3..=1e6).contains(&size) {
+        return;
+    }
+    let Some(truth) = brute::closest(mesh, unit) else {
+        return;
+    };
+    let corners = accel.corners(truth.face);
+    let [u, v] = refine::barycentric(corners, truth.point);
+    let inside = u.min(v).min(1.0 - u - v) > 0.01;
+    let far = truth.t > 10.0 * accel.resolution() && truth.t < unit.t_max * (1.0 - 1e-6);
+    if inside && far && truth.normal.dot(unit.direction).abs() > 0.01 {
+        assert!(hit.is_some(), "lost: {ray:?}");
+        let off = DVec3::from_array(hit.point).distance(truth.point);
+        assert!(off < 0.1 * accel.refinement(), "{off} {ray:?}");
+    }
+}
+
+/// The ray of direction (0, cos 90°, −1) that starts beside a part, in packets of one origin:
+/// f64 has no exact 90°, so the ray comes to the side of the box only after 4·10¹⁸ mm.
+#[test]
+fn rays_almost_along_an_axis_beside_the_part_meet_nothing() {
+    let (mesh, sizes) = (shapes::sphere(10.0, 0.1).unwrap(), [1e-3, 1.0, 280.0, 1e9]);
+    for accel in accels(&mesh) {
+        for beside in sizes {
+            for (axis, sign) in (0..3).flat_map(|axis| [(axis, 1.0), (axis, -1.0)]) {
+                let mut origin = DVec3::splat(1.0);
+                origin[axis] = sign * (10.0 + beside);
+                let ray = |along: f64| {
+                    let mut direction = DVec3::ZERO;
+                    direction[(axis + 1) % 3] = -1.0;
+                    direction[axis] = -sign * along;
+                    Ray {
+                        origin,
+                        direction,
+                        t_max: f64::INFINITY,
+                    }
+                };
+                let almost = std::f64::consts::FRAC_PI_2.cos();
+                for along in [almost, f64::MIN_POSITIVE, f64::from_bits(1), 1e-100] {
+                    let rays = [ray(along); WIDTH];
+                    let hits = closest(&accel, &rays).unwrap();
+                    assert!(hits.iter().all(|hit| !hit.is_some()), "{beside} {along}");
+                    assert!(any(&accel, &rays).iter().all(|hit| !hit));
+                }
+            }
+        }
+    }
+}

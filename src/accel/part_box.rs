@@ -91,18 +91,20 @@ impl PartBox {
         // Behind the part no ray is wanted.
         let reach = start.distance(self.center) + self.bounds.size().length() / 2.0;
         let spread = (high - low) * reach + apart;
-        let approach = || self.approach(start, low, high);
+        let approach = || self.approach(start, low, high, reach);
         Together {
             coherent: spread.max_element() <= COHERENT * half,
             approach: (apart == DVec3::ZERO).then(approach).flatten(),
         }
     }
 
-    /// A distance, mm, after which none of the rays from one point, whose directions are
-    /// from `low` to `high`, is further than an eighth of the half size before the box, and
-    /// none past where it enters. `None` if there is no such distance.
+    /// Returns a distance, mm, after which no ray from `start` with a direction from `low` to
+    /// `high` is further than an eighth of the half size before the box, and none has passed
+    /// the point at which it enters. Returns `None` if there is no such distance up to `reach`,
+    /// beyond which every ray has passed the box. Without this limit a ray that is almost
+    /// parallel to a face of the box would be moved to coordinates that f32 cannot hold.
     #[cfg(feature = "embree")]
-    fn approach(&self, start: DVec3, low: DVec3, high: DVec3) -> Option<f64> {
+    fn approach(&self, start: DVec3, low: DVec3, high: DVec3, reach: f64) -> Option<f64> {
         let margin = self.margin();
         let (below, above) = (
             self.bounds.min - margin - start,
@@ -125,7 +127,8 @@ impl PartBox {
             }
         }
         let half = (self.bounds.size() / 2.0).max_element();
-        (furthest - nearest <= half / 8.0).then_some(nearest)
+        // False for NaN too, which a gap or a direction of denormal size can give.
+        (nearest <= reach && furthest - nearest <= half / 8.0).then_some(nearest)
     }
 }
 

@@ -16,6 +16,7 @@ mod merge;
 mod peaks;
 #[cfg(feature = "service")]
 mod rays;
+mod refused;
 mod render;
 mod scan;
 #[cfg(feature = "service")]
@@ -28,6 +29,8 @@ mod uncertainty;
 #[cfg(feature = "service")]
 mod view;
 mod wave;
+
+pub use refused::Noting;
 
 use crate::accel::Backend;
 use crate::error::{Error, Result, printable};

@@ -3,6 +3,7 @@
 
 use super::STOP;
 use super::complaint::Complaints;
+use super::refused;
 use crate::error::{Error, Result};
 use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
@@ -26,13 +27,16 @@ pub fn listen(complaints: Complaints) -> Result<()> {
     // Without a handler a file that grows too large ends the program; with one the write
     // fails and is reported.
     flag::register(SIGXFSZ, Arc::default()).map_err(failed)?;
-    // The standard library and Embree abort when the system refuses memory. An abort
-    // after a panic is a fault of the program, and stays one.
-    let sound = Arc::new(AtomicBool::new(true));
-    flag::register_conditional_shutdown(SIGABRT, TEMPORARY, sound.clone()).map_err(failed)?;
+    // The standard library aborts when the system refuses memory, which is temporary. Every
+    // other abort is a fault of the program, and so is one after a panic: the signal ends
+    // the program, as it does without a handler.
+    let refused = refused::flag();
+    flag::register_conditional_shutdown(SIGABRT, TEMPORARY, refused.clone()).map_err(failed)?;
+    let always = Arc::new(AtomicBool::new(true));
+    flag::register_conditional_default(SIGABRT, always).map_err(failed)?;
     let tell = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
-        sound.store(false, Ordering::Relaxed);
+        refused.store(false, Ordering::Relaxed);
         tell(panic);
     }));
     let signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(failed)?;

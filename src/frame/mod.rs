@@ -57,6 +57,7 @@ pub(crate) use defocus::{TILE, reach_px};
 pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::SheetAngles;
 pub(crate) use grid::sampling_error;
+pub(crate) use polygon::Polygon;
 pub(crate) use sight::{Projection, Sight};
 
 use crate::accel::Accel;

@@ -8,7 +8,7 @@ use crate::math::DVec3;
 pub(super) const MOST_CORNERS: usize = 16;
 
 /// A convex polygon in space.
-pub(super) struct Polygon {
+pub(crate) struct Polygon {
     pub corners: [DVec3; MOST_CORNERS],
     pub count: usize,
 }

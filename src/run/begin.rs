@@ -170,7 +170,7 @@ struct Copies {
     part: Vec<u8>,
     sensor: Vec<u8>,
     /// Files that the part's file needs in its folder, by their relative path.
-    needed: Vec<(String, Vec<u8>)>,
+    needed: Vec<(PathBuf, Vec<u8>)>,
 }
 
 impl Copies {
@@ -202,8 +202,9 @@ impl Copies {
 
     /// Errors: one of the folder's files exists already.
     fn write(&self, out: &Path) -> Result<()> {
-        let needed = self.needed.iter().map(|(name, _)| name.as_str());
-        for name in [SCENE, PATH, SENSOR, &self.name].into_iter().chain(needed) {
+        let needed = self.needed.iter().map(|(name, _)| name.as_path());
+        let names = [SCENE, PATH, SENSOR, &self.name].map(Path::new);
+        for name in names.into_iter().chain(needed) {
             let file = out.join(name);
             if file.exists() {
                 return Err(Error::Usage(format!(

@@ -18,6 +18,7 @@ mod frames;
 pub(crate) mod height_errors;
 mod housing;
 mod journal;
+mod lit_normal;
 pub(crate) mod measure;
 pub(crate) mod methods;
 mod need;

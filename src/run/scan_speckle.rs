@@ -1,7 +1,8 @@
 //! Speckle of a scan: the patterns, how they lie over the sensor, and how they
 //! follow the part.
 
-use super::surface_view::{in_camera, lit_normal, surface_view};
+use super::lit_normal::lit_normal;
+use super::surface_view::{in_camera, surface_view};
 use crate::accel::Accel;
 use crate::error::Result;
 use crate::frame::{Patterns, Reference, Speckle, Strips};

@@ -9,6 +9,7 @@
 
 mod buffers;
 mod cast;
+mod environment;
 mod handles;
 mod simulate;
 mod status;

@@ -8,6 +8,7 @@ use numpy::{
     PyReadwriteArray1, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyTuple};
 use std::mem::offset_of;
 
@@ -107,7 +108,13 @@ fn rows<'py>(
     kinds: &str,
 ) -> PyResult<(Bound<'py, PyAny>, Vec<usize>)> {
     let wrong = || unlike(given, name, width, kinds);
-    let array = given.cast::<PyUntypedArray>().map_err(|_| wrong())?;
+    given.cast::<PyUntypedArray>().map_err(|_| wrong())?;
+    // A subclass of ndarray may override methods; only its memory is read.
+    let array = given
+        .py()
+        .import("numpy")?
+        .call_method1("asarray", (given,))?;
+    let array = array.cast::<PyUntypedArray>().map_err(|_| wrong())?;
     let Some((&last, shape)) = array.shape().split_last() else {
         return Err(wrong());
     };
@@ -169,19 +176,7 @@ unsafe impl Element for Point {
     const IS_COPY: bool = true;
 
     fn get_dtype(py: Python<'_>) -> Bound<'_, PyArrayDescr> {
-        let fields = [
-            ("position", "3f8", offset_of!(Point, position)),
-            ("sigma", "f8", offset_of!(Point, sigma)),
-            ("deviation", "f8", offset_of!(Point, deviation)),
-            ("deviation_sigma", "f8", offset_of!(Point, deviation_sigma)),
-            ("intensity", "f8", offset_of!(Point, intensity)),
-            ("row", "f8", offset_of!(Point, row)),
-            ("normal", "3f4", offset_of!(Point, normal)),
-            ("column", "u4", offset_of!(Point, column)),
-            ("frame", "u4", offset_of!(Point, frame)),
-            ("flags", "u4", offset_of!(Point, flags)),
-        ];
-        record::<Point>(py, &fields)
+        POINT.of(py)
     }
 
     fn clone_ref(&self, _: Python<'_>) -> Self {
@@ -200,14 +195,7 @@ unsafe impl Element for Place {
     const IS_COPY: bool = true;
 
     fn get_dtype(py: Python<'_>) -> Bound<'_, PyArrayDescr> {
-        let fields = [
-            ("distance", "f8", offset_of!(SurfacePoint, distance)),
-            ("point", "3f8", offset_of!(SurfacePoint, point)),
-            ("barycentric", "2f8", offset_of!(SurfacePoint, barycentric)),
-            ("triangle", "u4", offset_of!(SurfacePoint, triangle)),
-            ("instance", "u4", offset_of!(SurfacePoint, instance)),
-        ];
-        record::<Place>(py, &fields)
+        PLACE.of(py)
     }
 
     fn clone_ref(&self, _: Python<'_>) -> Self {
@@ -215,11 +203,48 @@ unsafe impl Element for Place {
     }
 }
 
-fn record<'py, T>(py: Python<'py>, fields: &[(&str, &str, usize)]) -> Bound<'py, PyArrayDescr> {
-    let made = || {
+/// NumPy's description of a record. NumPy makes one in Python, where Ctrl-C and handlers of
+/// other signals raise exceptions, so it is made once, when the module is imported.
+struct Record {
+    fields: &'static [(&'static str, &'static str, usize)],
+    size: usize,
+    made: PyOnceLock<Py<PyArrayDescr>>,
+}
+
+static POINT: Record = Record {
+    fields: &[
+        ("position", "3f8", offset_of!(Point, position)),
+        ("sigma", "f8", offset_of!(Point, sigma)),
+        ("deviation", "f8", offset_of!(Point, deviation)),
+        ("deviation_sigma", "f8", offset_of!(Point, deviation_sigma)),
+        ("intensity", "f8", offset_of!(Point, intensity)),
+        ("row", "f8", offset_of!(Point, row)),
+        ("normal", "3f4", offset_of!(Point, normal)),
+        ("column", "u4", offset_of!(Point, column)),
+        ("frame", "u4", offset_of!(Point, frame)),
+        ("flags", "u4", offset_of!(Point, flags)),
+    ],
+    size: size_of::<Point>(),
+    made: PyOnceLock::new(),
+};
+
+static PLACE: Record = Record {
+    fields: &[
+        ("distance", "f8", offset_of!(SurfacePoint, distance)),
+        ("point", "3f8", offset_of!(SurfacePoint, point)),
+        ("barycentric", "2f8", offset_of!(SurfacePoint, barycentric)),
+        ("triangle", "u4", offset_of!(SurfacePoint, triangle)),
+        ("instance", "u4", offset_of!(SurfacePoint, instance)),
+    ],
+    size: size_of::<Place>(),
+    made: PyOnceLock::new(),
+};
+
+impl Record {
+    fn make<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDescr>> {
         let dict = PyDict::new(py);
         let [mut names, mut formats, mut offsets] = [const { Vec::new() }; 3];
-        for &(name, format, offset) in fields {
+        for &(name, format, offset) in self.fields {
             names.push(name.into_pyobject(py)?.into_any());
             formats.push(format.into_pyobject(py)?.into_any());
             offsets.push(offset.into_pyobject(py)?.into_any());
@@ -227,10 +252,26 @@ fn record<'py, T>(py: Python<'py>, fields: &[(&str, &str, usize)]) -> Bound<'py,
         dict.set_item("names", names)?;
         dict.set_item("formats", formats)?;
         dict.set_item("offsets", offsets)?;
-        dict.set_item("itemsize", size_of::<T>())?;
+        dict.set_item("itemsize", self.size)?;
         PyArrayDescr::new(py, dict)
-    };
-    made().expect("the fields are those of a record")
+    }
+
+    fn of<'py>(&self, py: Python<'py>) -> Bound<'py, PyArrayDescr> {
+        let made = self.made.get(py).expect("the module was imported");
+        made.bind(py).clone()
+    }
+}
+
+/// Does what NumPy does in Python code the first time, so that it is not interrupted later.
+pub fn prepare(py: Python<'_>) -> PyResult<()> {
+    for record in [&POINT, &PLACE] {
+        let made = || record.make(py).map(Bound::unbind);
+        record.made.get_or_try_init(py, made)?;
+    }
+    // Loads NumPy's functions, and its record of which arrays are in use.
+    let array = PyArray1::<bool>::zeros(py, 1, false);
+    drop(writable(&array)?);
+    Ok(())
 }
 
 /// What answers are written to: a new array of so many, whose memory is first touched by whom

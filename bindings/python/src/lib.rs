@@ -18,13 +18,20 @@ pyo3::create_exception!(
     "What cannot be done: the message says what was found, what was expected and what to do."
 );
 
-/// A mistake of the simulator's as one of Python's.
+/// Returns an error of the simulator's as one of Python's.
 fn raised(error: lasertrace::Error) -> PyErr {
-    Error::new_err(error.to_string())
+    let message = error.to_string();
+    match error {
+        lasertrace::Error::Memory { .. } | lasertrace::Error::Exhausted(_) => {
+            pyo3::exceptions::PyMemoryError::new_err(message)
+        }
+        _ => Error::new_err(message),
+    }
 }
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    arrays::prepare(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("Error", module.py().get_type::<Error>())?;
     module.add("FLAGS", simulation::flags())?;

@@ -16,7 +16,7 @@ use pyo3::types::{PyDict, PyRange, PyRangeMethods};
 use rayon::prelude::*;
 use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The flags of points by name.
 pub fn flags() -> HashMap<&'static str, u16> {
@@ -117,7 +117,8 @@ impl Simulation {
 
     /// An iterator over frames: those of a range or list of numbers, or all. As many as there
     /// are threads are taken at a time. `progress(done, total)` is called before each is
-    /// handed out; what it raises, and Ctrl-C, ends the loop.
+    /// handed out; what it raises, and Ctrl-C, ends the loop. No frame is lost by that: the next
+    /// call of next() goes on with the same frame.
     #[pyo3(signature = (numbers = None, *, progress = None))]
     fn frames(
         &self,
@@ -132,9 +133,10 @@ impl Simulation {
             progress,
             state: Mutex::new(Some(State {
                 left,
-                ready: VecDeque::new(),
+                next: VecDeque::new(),
                 done: 0,
             })),
+            kept: Mutex::default(),
         })
     }
 
@@ -202,12 +204,14 @@ pub struct Frames {
     progress: Option<Py<PyAny>>,
     /// `None` while a thread takes frames.
     state: Mutex<Option<State>>,
+    /// Frames that were not handed out because `progress` raised an exception.
+    kept: Mutex<VecDeque<Frame>>,
 }
 
 struct State {
     left: Numbers,
-    /// Taken, and not handed out yet.
-    ready: VecDeque<Taken>,
+    /// The frames that come next, with those of them that are taken.
+    next: VecDeque<(u32, Option<Taken>)>,
     done: usize,
 }
 
@@ -220,28 +224,31 @@ impl Frames {
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<Frame>> {
         let Some(mut state) = self.state().take() else {
             return Err(Error::new_err(
-                "another thread is taking these frames, or was interrupted: give each thread \
-                 frames of its own, simulation.frames(...)",
+                "another thread is taking these frames: give each thread frames of its own, \
+                 simulation.frames(...)",
             ));
         };
-        if state.ready.is_empty() {
-            let numbers: Vec<u32> = state.left.by_ref().take(self.threads).collect();
-            state.ready = threads::run(py, self.threads, |stop| {
-                let wanted = numbers.par_iter().filter(|_| !stop.load(Relaxed));
-                let taken = wanted.map(|&number| Taken::new(&self.simulation, number));
-                taken.collect::<Vec<_>>().into()
-            })?;
-        }
-        let taken = state.ready.pop_front();
-        state.done += usize::from(taken.is_some());
+        let kept = self.kept().pop_front();
+        let frame = match kept {
+            Some(kept) => Ok(Some(kept)),
+            None => self.take(py, &mut state),
+        };
+        state.done += usize::from(matches!(frame, Ok(Some(_))));
         let done = state.done;
         *self.state() = Some(state);
-        if let (Some(progress), true) = (&self.progress, taken.is_some()) {
-            progress.call1(py, (done, self.total))?;
+        let Some(frame) = frame? else {
+            return Ok(None);
+        };
+        if let Some(progress) = &self.progress
+            && let Err(raised) = progress.call1(py, (done, self.total))
+        {
+            self.kept().push_back(frame);
+            if let Some(state) = &mut *self.state() {
+                state.done -= 1;
+            }
+            return Err(raised);
         }
-        taken
-            .map(|taken| taken.frame(py, &self.simulation, self.threads))
-            .transpose()
+        Ok(Some(frame))
     }
 
     /// How many frames are still to come.
@@ -253,8 +260,37 @@ impl Frames {
 
 impl Frames {
     /// Held only for a moment and under Python's lock.
-    fn state(&self) -> std::sync::MutexGuard<'_, Option<State>> {
+    fn state(&self) -> MutexGuard<'_, Option<State>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Held only for a moment and under Python's lock.
+    fn kept(&self) -> MutexGuard<'_, VecDeque<Frame>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the next frame. If it is not taken yet, takes several at once; after an exception
+    /// the finished ones remain in `state`.
+    fn take(&self, py: Python<'_>, state: &mut State) -> PyResult<Option<Frame>> {
+        if state.next.front().is_none_or(|(_, taken)| taken.is_none()) {
+            let more = self.threads.saturating_sub(state.next.len());
+            let numbers = state.left.by_ref().take(more);
+            state.next.extend(numbers.map(|number| (number, None)));
+            let next = state.next.make_contiguous();
+            threads::run(py, self.threads, |stop| {
+                next.par_iter_mut().for_each(|(number, taken)| {
+                    if taken.is_none() && !stop.load(Relaxed) {
+                        *taken = Some(Taken::new(&self.simulation, *number));
+                    }
+                });
+            })?;
+        }
+        let Some((_, taken)) = state.next.pop_front() else {
+            return Ok(None);
+        };
+        let taken = taken.expect("it was taken above");
+        let frame = taken.frame(py, &self.simulation, self.threads)?;
+        Ok(Some(frame))
     }
 }
 

@@ -3,6 +3,7 @@
 import copy
 import os
 import pickle
+import random
 import signal
 import subprocess
 import sys
@@ -276,6 +277,97 @@ class Frames(unittest.TestCase):
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=120)
             self.assertIn(b"KeyboardInterrupt", said)
+
+
+    def test_what_a_signal_handler_raises_arrives_as_it_is(self):
+        class Raised(BaseException):
+            pass
+
+        def handler(number, frame):
+            raise Raised
+
+        caster = RayCaster(np.eye(3), np.array([[0, 1, 2]]))
+        rays, many = np.ones((4, 6)), np.ones((200_000, 6))
+        simulation = Simulation(Scene.load(PLANE))
+        calls = [
+            lambda: caster.cast(rays),
+            lambda: caster.cast(many),
+            lambda: caster.nearest(rays[:, :3]),
+            lambda: list(simulation.frames()),
+            lambda: simulation.frame(2).truth,
+        ]
+        before = signal.signal(signal.SIGALRM, handler)
+        try:
+            for seed in range(120):
+                draw, call = random.Random(seed), calls[seed % len(calls)]
+                try:
+                    signal.setitimer(signal.ITIMER_REAL, draw.uniform(1e-4, 2e-2))
+                    while True:
+                        call()
+                except Raised:
+                    pass
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+
+    def test_no_frame_is_lost_when_progress_raises(self):
+        simulation = Simulation(Scene.load(PLANE))
+        for seed in range(4):
+            draw, told = random.Random(seed), []
+
+            def progress(done, total):
+                told.append((done, total))
+                if draw.random() < 0.5:
+                    raise RuntimeError("not now")
+
+            frames, numbers, raised = simulation.frames(progress=progress), [], 0
+            while len(numbers) < 9 and raised < 1000:
+                try:
+                    numbers.append(next(frames).number)
+                except RuntimeError:
+                    raised += 1
+            self.assertEqual(numbers, list(range(9)))
+            self.assertGreater(raised, 0)
+            self.assertEqual([t for t in told if t == (9, 9)][-1:], [(9, 9)])
+            self.assertIsNone(next(frames, None))
+
+    def test_a_subclass_of_ndarray_that_lies_about_its_shape_is_read_as_it_is(self):
+        class Lies(np.ndarray):
+            def reshape(self, *shape):
+                return np.asarray(self)[:, :2]
+
+            def copy(self):
+                return np.asarray(self)[:1, :1]
+
+        caster = RayCaster(np.eye(3), np.array([[0, 1, 2]]))
+        rays = np.tile([0.2, 0.2, 9, 0, 0, -1.0], (5, 1))
+        truth = caster.cast(rays)
+        np.testing.assert_array_equal(caster.cast(rays.view(Lies)), truth)
+        np.testing.assert_array_equal(caster.cast(rays[::-1].view(Lies)), truth)
+        self.assertEqual(RayCaster(np.eye(3).view(Lies), np.array([[0, 1, 2]]).view(Lies)).triangle_count, 1)
+
+    def test_too_little_memory_is_a_memory_error(self):
+        caster = RayCaster(np.eye(3), np.array([[0, 1, 2]]))
+        for count in [10**13, 10**14, 10**15]:
+            with self.assertRaises(MemoryError):
+                caster.cast(np.broadcast_to(np.ones(6), (count, 6)))
+
+    def test_rays_of_any_size_are_cast_or_refused(self):
+        caster = RayCaster(np.eye(3) * 10, np.array([[0, 1, 2]]))
+        for seed in range(3):
+            draw = np.random.default_rng(seed)
+            for _ in range(300):
+                rays = np.zeros((16, 6))
+                rays[:] = draw.uniform(-300, 300, 6)
+                size = 10.0 ** draw.uniform(-323, 300, (16, 3))
+                rays[:, 3:] = size * draw.choice([-1.0, 0.0, 1.0], (16, 3))
+                rays[:, 3 + draw.integers(3)] = draw.choice([-1.0, 1.0])
+                try:
+                    hits = caster.cast(rays, t_max=10.0 ** draw.uniform(-300, 300))
+                    self.assertFalse(np.isnan(hits["distance"]).any())
+                    caster.any_hit(rays)
+                except Error as error:
+                    self.assertRegex(str(error), r"^ray \d+: direction")
 
 
 if __name__ == "__main__":
