@@ -247,7 +247,8 @@ fn cases() -> Vec<Case> {
             CHECK,
             65,
             "lasertrace: scene.toml:6: part.mesh.file: found \"a\\u001b[2J\\nlasertrace: \
-             done.stl\", expected a mesh file; there is none at a\\u{1b}[2J\\nlasertrace: done.stl",
+             done.stl\", expected a mesh file; there is none at a\\u{1b}[2J\\nlasertrace: done.stl; a backslash does not \
+             separate folders, and in double quotes it begins an escape: write /",
             |folder| {
                 write(
                     folder,

@@ -1,4 +1,4 @@
-use super::{Output, STOP, show};
+use super::{ForceArguments, Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::{Control, begin};
@@ -17,6 +17,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
@@ -31,8 +33,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
         sensor,
         unit,
         output: folder,
+        force,
     } = arguments;
-    let begun = begin(part, sensor, *unit, folder, &control);
+    let begun = begin(part, sensor, *unit, force.folder(folder), &control);
     building.finish_and_clear();
     let begun = begun?;
     let [x, y, z] = begun.size_mm;

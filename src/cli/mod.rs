@@ -31,12 +31,12 @@ mod wave;
 
 use crate::accel::Backend;
 use crate::error::{Error, Result, printable};
-use crate::run::Coverage;
+use crate::run::{Coverage, OutputFolder};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -171,6 +171,24 @@ struct AccelArguments {
     /// What finds the triangles rays meet [default: the scene's plan.accel]
     #[arg(long, value_enum)]
     accel: Option<Backend>,
+}
+
+/// Whether files that are no results may be replaced.
+#[derive(clap::Args)]
+struct ForceArguments {
+    /// Write to a folder that holds files of yours too; those of the names that are written are replaced, but
+    /// never an input
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceArguments {
+    fn folder<'a>(&self, path: &'a Path) -> OutputFolder<'a> {
+        OutputFolder {
+            path,
+            force: self.force,
+        }
+    }
 }
 
 /// Which samples to trace.

@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{ForceArguments, Output, STOP};
 use crate::run::Control;
 use crate::study;
 
@@ -25,6 +25,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -41,7 +43,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         stop: &STOP,
     };
     let Some(image) = &arguments.image else {
-        let chart = study::peak_chart(arguments.seed, &arguments.output, &control);
+        let chart = study::peak_chart(
+            arguments.seed,
+            arguments.force.folder(&arguments.output),
+            &control,
+        );
         bar.finish_and_clear();
         let chart = chart?;
         return output.result(&chart, &chart_text(&chart));
@@ -51,7 +57,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Along::Columns => LineAlong::Columns,
         Along::Rows => LineAlong::Rows,
     };
-    let summary = study::peaks_of_image(image, along, &arguments.output, &control)?;
+    let summary = study::peaks_of_image(
+        image,
+        along,
+        arguments.force.folder(&arguments.output),
+        &control,
+    )?;
     output.result(&summary, &image_text(&summary))
 }
 

@@ -1,11 +1,12 @@
 //! A first scene of a part under a sensor: the part as its file has it, and passes that bring all of it into the measuring range.
 
+use super::output_folder::{Names, OutputFolder};
 use super::ready::hierarchy_watched;
 use super::sensor_figures::SensorFigures;
 use super::{Control, files};
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
-use crate::mesh::{UnitBy, unit_by};
+use crate::mesh::{self, UnitBy, unit_by};
 use crate::scene::{Scene, Unit};
 use glam::DQuat;
 use serde::Serialize;
@@ -21,6 +22,7 @@ const FRAMES: f64 = 2000.0;
 #[derive(Debug, Clone, Serialize)]
 pub struct Begun {
     /// The scene.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Of its path.
     pub frames: usize,
@@ -37,11 +39,11 @@ pub struct Begun {
 ///
 /// # Errors
 /// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that is there already.
-pub fn begin(
+pub fn begin<'a>(
     part: &Path,
     sensor: &Path,
     unit: Option<Unit>,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<Begun> {
     let [part, sensor] = [part, sensor].map(|path| {
@@ -56,7 +58,7 @@ pub fn begin(
     });
     let (part, sensor) = (part?, sensor?);
     let file = Path::new(&part);
-    let bytes = std::fs::read(file).map_err(Error::io("read", file))?;
+    let bytes = mesh::read(file, &|_| control.check())?;
     let unit = unit.or(match unit_by(file, &bytes)? {
         UnitBy::User => Some(Unit::Millimetre),
         UnitBy::Metres | UnitBy::File => None,
@@ -78,14 +80,17 @@ pub fn begin(
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
     })?;
     let path = Passes::over(&scene, &figures);
-    let file = out.join("scene.toml");
-    if file.exists() {
+    let out = out.into();
+    let file = out.path.join("scene.toml");
+    // The user may have changed it since an earlier run wrote it.
+    if file.exists() && !out.force {
         return Err(Error::Usage(format!(
             "{} is there already: name another folder",
             printable::path(&file)
         )));
     }
-    files::create_folder(out)?;
+    let names = Names::of(["scene.toml", "path.csv"]);
+    let out = out.claim(&scene.inputs, &names)?.path;
     files::write_bytes(&out.join("path.csv"), path.csv().as_bytes())?;
     files::write_bytes(&file, format!("{text}poses = \"path.csv\"\n").as_bytes())?;
     Ok(Begun {

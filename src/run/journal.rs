@@ -14,12 +14,14 @@
 //! a run writes; the system drops the lock of a process that dies.
 
 use super::files;
+use crate::error::input_file;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -84,6 +86,41 @@ pub struct FrameRecord {
     pub points: Vec<CloudPoint>,
 }
 
+impl Record for FrameRecord {
+    /// Whether all numbers are finite and all points are of this frame.
+    fn is_sound(&self) -> bool {
+        self.points.iter().all(|point| {
+            let numbers = [
+                point.deviation,
+                point.sigma,
+                point.repeatability,
+                point.correlation_length,
+                point.deviation_sigma,
+                point.intensity,
+                point.row,
+                point.width,
+                f64::from(point.direct),
+            ];
+            point.frame == self.frame
+                && point.position.is_finite()
+                && point.normal.is_finite()
+                && numbers.iter().all(|number| number.is_finite())
+        })
+    }
+}
+
+/// What a journal holds after its header.
+pub trait Record: Serialize + DeserializeOwned + Sync {
+    /// Whether a run may have written it. A checksum does not show what was computed from wrong numbers.
+    fn is_sound(&self) -> bool;
+
+    /// The record that a content holds; `None` where it is none, or not sound.
+    fn read(content: &[u8]) -> Option<Self> {
+        let record = postcard::from_bytes::<Self>(content).ok();
+        record.filter(Record::is_sound)
+    }
+}
+
 pub struct Journal {
     file: File,
     path: PathBuf,
@@ -94,48 +131,105 @@ pub struct Journal {
 const SYNC: Duration = Duration::from_secs(10);
 
 impl Journal {
-    /// Opens the journal in `out` for one run alone, and with `resume` says how many frames
-    /// are in it; else it starts anew.
+    /// Opens the journal in `out` for one run alone, and with `resume` returns how many frames
+    /// are in it; else it starts anew. `prepare` is called with that number before anything in the journal
+    /// changes.
     ///
     /// Errors: another run writes there; with `resume`, frames of another scene,
     /// seed, range or version.
-    pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, u32)> {
-        let path = out.join("frames.journal");
-        let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(Error::Busy(out.to_owned())),
-            // Some network file systems have no locks.
-            Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(e)) => return Err(Error::io("lock", &path)(e)),
-        }
-        let mut journal = Journal {
-            file,
-            path,
-            synced: Instant::now(),
+    pub fn open(
+        out: &Path,
+        key: &RunKey,
+        resume: bool,
+        prepare: impl FnOnce(u32) -> Result<()>,
+    ) -> Result<(Journal, u32)> {
+        let mut journal = Journal::locked(out)?;
+        let (kept, end) = match resume {
+            true => journal.check(key)?,
+            false => (0, 0),
         };
-        let (mut kept, mut end) = (0, 0);
-        if resume {
-            (kept, end) = journal.check(key)?;
+        prepare(kept)?;
+        if end == 0 {
+            return Ok((journal.replaced(key, |_| Ok(()))?, 0));
         }
         let cut = |file: &mut File| {
             file.set_len(end)?;
             file.seek(SeekFrom::Start(end)).map(drop)
         };
         cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;
-        if end == 0 {
-            let header = serde_json::to_vec(key).expect("a key is JSON");
-            journal.write(&framed(&header))?;
-        }
         Ok((journal, kept))
+    }
+
+    /// Makes a journal in `out` of the records that `fill` appends, in place of the one that is there once it is
+    /// whole. `prepare` is called before.
+    pub fn make(
+        out: &Path,
+        key: &RunKey,
+        prepare: impl FnOnce() -> Result<()>,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<()> {
+        let journal = Journal::locked(out)?;
+        prepare()?;
+        journal.replaced(key, fill).map(drop)
+    }
+
+    /// The journal in `out` as it is, for one run alone.
+    fn locked(out: &Path) -> Result<Journal> {
+        let path = out.join("frames.journal");
+        loop {
+            let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
+            if !files::lock(&file).map_err(Error::io("lock", &path))? {
+                return Err(Error::Busy(out.to_owned()));
+            }
+            // Another run may have replaced it before it was locked.
+            if files::is_at(&file, &path) {
+                return Ok(Journal {
+                    file,
+                    path,
+                    synced: Instant::now(),
+                });
+            }
+        }
+    }
+
+    /// Puts a new journal in place of this one, which stays locked until then.
+    fn replaced(
+        self,
+        key: &RunKey,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<Journal> {
+        Journal::written(&self.path, files::PART, key, fill)
+    }
+
+    /// Writes a journal under the name that `part` ends, and renames it when `fill` is done. On an error nothing
+    /// is left of it.
+    pub fn written(
+        path: &Path,
+        part: &str,
+        header: &impl Serialize,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<Journal> {
+        let part = files::unfinished(path, part);
+        let written = Journal::begin(&part, header).and_then(|mut journal| {
+            journal.path = path.to_owned();
+            fill(&mut journal)?;
+            journal.sync()?;
+            files::rename(&journal.file, &part, path)
+                .and_then(|()| files::sync_folder_of(path))
+                .map_err(Error::io("write", path))?;
+            Ok(journal)
+        });
+        if written.is_err() {
+            // Best effort: the first error is the one to report.
+            let _ = files::remove(&part);
+        }
+        written
     }
 
     /// A new journal at `path`, whatever was there.
     pub fn begin(path: &Path, header: &impl Serialize) -> Result<Journal> {
-        let file = files::open_own_file(path).map_err(Error::io("open", path))?;
-        file.set_len(0).map_err(Error::io("write", path))?;
         let mut journal = Journal {
-            file,
+            file: files::create_locked(path).map_err(Error::io("write", path))?,
             path: path.to_owned(),
             synced: Instant::now(),
         };
@@ -161,8 +255,8 @@ impl Journal {
         let (mut kept, mut end) = (0, reader.at);
         while let Some(content) = reader.next().map_err(failed())? {
             let expected = u64::from(key.frames.start) + u64::from(kept);
-            match postcard::from_bytes::<FrameRecord>(&content) {
-                Ok(record)
+            match FrameRecord::read(&content) {
+                Some(record)
                     if u64::from(record.frame) == expected && record.frame < key.frames.end =>
                 {
                     kept += 1;
@@ -181,7 +275,7 @@ impl Journal {
     }
 
     /// Adds the next records.
-    pub fn append(&mut self, records: &[impl Serialize + Sync]) -> Result<()> {
+    pub fn append(&mut self, records: &[impl Record]) -> Result<()> {
         let content = |record| postcard::to_allocvec(record).expect("a record has a length");
         let records = records.par_iter().map(|record| framed(&content(record)));
         for bytes in records.collect::<Vec<_>>() {
@@ -213,8 +307,8 @@ impl Journal {
         let mut reader = self.reader().map_err(failed())?;
         reader.next().map_err(failed())?;
         while let Some(content) = reader.next().map_err(failed())? {
-            let record = postcard::from_bytes::<FrameRecord>(&content).map_err(io::Error::other);
-            then(record.map_err(failed())?)?;
+            let wrong = || failed()(io::Error::other("a record that no run wrote"));
+            then(FrameRecord::read(&content).ok_or_else(wrong)?)?;
         }
         // What is added comes at the end.
         let end = self.file.seek(SeekFrom::End(0));
@@ -237,27 +331,23 @@ pub struct Records {
 
 impl Records {
     pub fn open(path: &Path) -> Result<Records> {
-        let open = || -> io::Result<_> {
-            let file = File::open(path)?;
-            let length = file.metadata()?.len();
-            Reader::new(file, length)
-        };
+        let (file, kind) = input_file::open(path, "a journal of finished frames")?;
         Ok(Records {
-            reader: open().map_err(Error::io("open", path))?,
+            reader: Reader::new(file, kind.len()).map_err(Error::io("read", path))?,
             path: path.to_owned(),
         })
     }
 
     /// The first record; `None` where it is none.
-    pub fn header<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
+    pub fn header<T: DeserializeOwned>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
         Ok(content.and_then(|content| serde_json::from_slice(&content).ok()))
     }
 
     /// The next record; `None` where the file ends or is damaged.
-    pub fn next<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
+    pub fn next<T: Record>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
-        Ok(content.and_then(|content| postcard::from_bytes(&content).ok()))
+        Ok(content.and_then(|content| T::read(&content)))
     }
 
     fn content(&mut self) -> Result<Option<Vec<u8>>> {
@@ -366,7 +456,7 @@ mod tests {
 
     /// A journal of frames 3, 4 and 5, and its bytes.
     fn written(out: &Path) -> Vec<u8> {
-        let (mut journal, kept) = Journal::open(out, &key(), false).unwrap();
+        let (mut journal, kept) = Journal::open(out, &key(), false, |_| Ok(())).unwrap();
         assert_eq!(kept, 0);
         journal.append(&[record(3), record(4)]).unwrap();
         journal.append(&[record(5)]).unwrap();
@@ -377,7 +467,7 @@ mod tests {
     fn what_was_written_is_read_to_the_bit_and_continued() {
         let folder = tempfile::tempdir().unwrap();
         written(folder.path());
-        let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+        let (mut journal, kept) = Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
         assert_eq!(kept, 3);
         assert_eq!(records(&mut journal), [3, 4, 5].map(record));
         journal.append(&[record(6)]).unwrap();
@@ -392,7 +482,8 @@ mod tests {
         let whole = written(folder.path());
         let open = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
-            let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+            let (mut journal, kept) =
+                Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
             assert!(kept < 3 || bytes.starts_with(&whole));
             assert!(
                 records(&mut journal)
@@ -426,7 +517,9 @@ mod tests {
         let other = |change: fn(&mut RunKey)| {
             let mut key = key();
             change(&mut key);
-            let error = Journal::open(folder.path(), &key, true).err().unwrap();
+            let error = Journal::open(folder.path(), &key, true, |_| Ok(()))
+                .err()
+                .unwrap();
             assert_eq!(error.exit_code(), 64);
             error.to_string()
         };
@@ -455,13 +548,15 @@ mod tests {
     #[test]
     fn a_second_run_is_refused_until_the_first_is_over() {
         let folder = tempfile::tempdir().unwrap();
-        let first = Journal::open(folder.path(), &key(), false).unwrap();
+        let first = Journal::open(folder.path(), &key(), false, |_| Ok(())).unwrap();
         for resume in [false, true] {
-            let error = Journal::open(folder.path(), &key(), resume).err().unwrap();
+            let error = Journal::open(folder.path(), &key(), resume, |_| Ok(()))
+                .err()
+                .unwrap();
             assert_eq!(error.exit_code(), 75);
             assert!(error.to_string().contains("another run"), "{error}");
         }
         drop(first);
-        assert!(Journal::open(folder.path(), &key(), true).is_ok());
+        assert!(Journal::open(folder.path(), &key(), true, |_| Ok(())).is_ok());
     }
 }

@@ -3,7 +3,8 @@
 use super::file::{Moves, RotaryTable, ScanTable};
 use super::poses;
 use super::resolver::Resolver;
-use crate::error::Result;
+use crate::error::input_file::{self, LARGEST_DATA};
+use crate::error::{Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;
 use serde::Serialize;
@@ -57,6 +58,7 @@ pub enum Motion {
     /// A pose for each frame, read from a file.
     Poses {
         /// The file they were read from.
+        #[serde(serialize_with = "printable::in_json")]
         file: PathBuf,
         /// One a frame: too many to print.
         #[serde(skip)]
@@ -246,7 +248,7 @@ impl Resolver<'_> {
     /// it in the hash.
     pub(super) fn poses(&self, file: &str, key: &str) -> Result<(PathBuf, Vec<Rigid>, Vec<u8>)> {
         let file = self.file(file, key, "a CSV file of poses")?;
-        let bytes = std::fs::read(&file).map_err(crate::error::Error::io("read", &file))?;
+        let bytes = input_file::read(&file, LARGEST_DATA, "poses (CSV)")?;
         let poses = poses::parse(&file, &bytes)?;
         let hash = Sha256::digest(&bytes).to_vec();
         Ok((file, poses, hash))

@@ -10,7 +10,8 @@ use super::surface::polarised;
 use super::unit::Unit;
 use crate::accel::Backend;
 use crate::camera::Camera;
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::input_file::{self, LARGEST_TEXT};
+use crate::error::{InputError, Place, Result, printable};
 use crate::inspect::bands::Band;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
@@ -20,6 +21,7 @@ use crate::profile::{Calibration, Choice, Filters, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::surface::Surfaces;
 use sha2::{Digest, Sha256};
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -52,7 +54,12 @@ pub struct Measure {
 #[derive(Clone, serde::Serialize)]
 pub struct Scene {
     /// The scene file; what errors and summaries name.
+    #[serde(serialize_with = "printable::in_json")]
     pub path: PathBuf,
+    /// The scene file and the files it names, which no output may replace.
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub inputs: Arc<[PathBuf]>,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
     #[doc(hidden)]
     pub hash: String,
@@ -143,15 +150,16 @@ impl Scene {
     /// The same; `watch` hears how much of the mesh is read.
     #[doc(hidden)]
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
-        Scene::resolved(Source::read(path)?, path, watch, None)
+        let source = Source::read(path)?;
+        source.require_scene()?;
+        Scene::resolved(source, path, watch, None)
     }
 
     /// A scene of the sensor that a file of its own describes: before it, in the head's xy plane, a matt plane that
     /// reflects half of the light. `None`: the file is a scene, or nothing that is known. Errors: mistakes in a sensor's file.
     #[doc(hidden)]
     pub fn of_sensor(path: &Path) -> Result<Option<Scene>> {
-        let is_file = path.metadata().is_ok_and(|kind| kind.is_file());
-        let text = std::fs::read_to_string(path).ok().filter(|_| is_file);
+        let text = input_file::read_text(path, LARGEST_TEXT, "a sensor's file (TOML)").ok();
         let table = text.and_then(|text| text.parse::<toml::Table>().ok());
         let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));
         let describes = ["data_sheet", "laser", "camera"].into_iter().any(has);
@@ -199,6 +207,7 @@ impl Scene {
             source: Source::read(path)?,
             path,
             watch: &|_| Ok(()),
+            inputs: RefCell::default(),
         };
         resolver.take_sensor()?;
         let mut values: toml::Table = resolver.source.values()?;
@@ -241,6 +250,7 @@ impl Scene {
             source,
             path,
             watch,
+            inputs: RefCell::new(vec![path.to_owned()]),
         };
         let solved = resolver.take_sensor()?;
         let file: SceneFile = resolver.source.values()?;
@@ -362,6 +372,7 @@ impl Resolver<'_> {
         let hashed = [mesh_hash, copies_hash, poses_hash, calibration_hash];
         Ok(Scene {
             path: self.path.to_owned(),
+            inputs: self.inputs.take().into(),
             hash: self.hash(&hashed),
             seed: file.seed,
             speckle,
@@ -457,7 +468,7 @@ impl Resolver<'_> {
             return Ok((None, Vec::new()));
         };
         let path = self.file(name, "measure.calibration", "a calibration")?;
-        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let bytes = input_file::read(&path, LARGEST_TEXT, "a calibration (JSON)")?;
         let calibration = Calibration::parse(&path, &bytes)?;
         let [columns, rows] = camera.sensor.resolution.to_array();
         self.check(

@@ -1,10 +1,12 @@
 //! The finders of the laser line on an image of a real sensor.
 
 use crate::camera::Counts;
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::input_file::{self, LARGEST_DATA};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{Control, files};
 use png::{BitDepth, Transformations};
 use serde::Serialize;
@@ -35,6 +37,7 @@ pub struct GreyImage {
 #[derive(Debug, Serialize)]
 pub struct ImageSummary {
     /// The image file.
+    #[serde(serialize_with = "printable::in_json")]
     pub image: PathBuf,
     /// How the line runs.
     pub line_along: LineAlong,
@@ -43,8 +46,10 @@ pub struct ImageSummary {
     /// One for each finder.
     pub finders: Vec<FoundLine>,
     /// Where the table of points was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub table: PathBuf,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -66,7 +71,7 @@ const IMAGE: &str = "an image (PNG)";
 /// Reads a PNG of 8 or 16 bits; of colours, their luminance. Errors: no regular
 /// file, no such PNG.
 pub fn read_image(path: &Path, line_along: LineAlong) -> Result<GreyImage> {
-    let bytes = files::read_regular(path, IMAGE)?;
+    let bytes = input_file::read(path, LARGEST_DATA, IMAGE)?;
     parse_image(path, &bytes, line_along)
 }
 
@@ -139,14 +144,15 @@ impl GreyImage {
 
 /// Runs all finders on an image; writes `line.csv`, `line.json` and `line.svg`, the
 /// image with what they found over it.
-pub fn peaks_of_image(
+pub fn peaks_of_image<'a>(
     path: &Path,
     line_along: LineAlong,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<ImageSummary> {
     let image = read_image(path, line_along)?;
-    files::create_folder(out)?;
+    let names = Names::of(["line.csv", "line.json", "line.svg"]);
+    let out = out.into().claim(&[path.to_owned()], &names)?.path;
     let lines = PeakFinder::ALL.map(|finder| (finder, image.peaks(finder)));
     control.check()?;
     let summary = ImageSummary {
