@@ -173,11 +173,10 @@ struct AccelArguments {
     accel: Option<Backend>,
 }
 
-/// Whether files that are no results may be replaced.
+/// Whether files that no run wrote may be replaced.
 #[derive(clap::Args)]
 struct ForceArguments {
-    /// Write to a folder that holds files of yours too; those of the names that are written are replaced, but
-    /// never an input
+    /// Write to a folder that holds other files; files of the same names are replaced, but never an input
     #[arg(long)]
     force: bool,
 }

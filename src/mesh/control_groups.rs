@@ -24,8 +24,8 @@ const SECOND: Version = Version {
     files: ["active_file", "inactive_file"],
 };
 
-/// Returns how many bytes the groups of this process leave it, the least of its own and of all groups above it;
-/// `None` where there are no groups. `root` is `/` but in tests.
+/// Returns how many bytes the limits of its control groups leave this process: the smallest amount of all groups
+/// from its group up to the root. Returns `None` if there are no groups. `root` is `/`, except in tests.
 pub(super) fn available(root: &Path) -> Option<u64> {
     let own = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;
@@ -42,7 +42,7 @@ pub(super) fn available(root: &Path) -> Option<u64> {
                 _ => return None,
             };
             let group = group_of(&own, &version)?;
-            // Of a container the mount may begin below the top of the tree.
+            // In a container the mount may begin below the root of the tree.
             let below = Path::new(group).strip_prefix(top).unwrap_or(Path::new(""));
             let point = root.join(point.trim_start_matches('/'));
             least(&point, &point.join(below), &version)
@@ -63,7 +63,7 @@ fn group_of<'a>(own: &'a str, version: &Version) -> Option<&'a str> {
     })
 }
 
-/// What a group and those above it, up to `top`, leave.
+/// Returns how many bytes a group and all groups above it leave, up to `top`.
 fn least(top: &Path, group: &Path, version: &Version) -> Option<u64> {
     let groups = group.ancestors().take_while(|group| group.starts_with(top));
     groups.filter_map(|group| left(group, version)).min()

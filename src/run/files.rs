@@ -10,10 +10,10 @@ use std::io::{self, BufWriter, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-/// Calls of the system that a signal interrupts are made again at most this often.
+/// Largest number of attempts at a system call that signals interrupt.
 const TRIES: usize = 1000;
 
-/// Repeats a call of the system as long as a signal interrupts it.
+/// Repeats a system call while a signal interrupts it.
 pub fn again<T>(mut call: impl FnMut() -> io::Result<T>) -> io::Result<T> {
     for _ in 1..TRIES {
         match call() {
@@ -78,21 +78,21 @@ fn link() -> io::Error {
     )
 }
 
-/// Creates a file, locked as long as it is open, in place of one of the same name. A link in its place is
-/// removed and not followed.
+/// Creates a file that is locked while it is open. Removes a file or a link of the same name; a link is not
+/// followed.
 pub fn create_locked(path: &Path) -> io::Result<File> {
     loop {
         remove_if_there(path)?;
         let file = File::create_new(path)?;
-        // A cleaner that found the file before it was locked removes it.
+        // Another process may have removed it before it was locked.
         if lock(&file)? && is_at(&file, path) {
             return Ok(file);
         }
     }
 }
 
-/// Locks a file for this process as long as it is open, and returns whether no other process has locked it.
-/// Some network file systems have no locks; no process is refused there.
+/// Locks a file while it is open, and returns whether no other process has locked it. Returns `true` on network
+/// file systems without locks.
 pub fn lock(file: &File) -> io::Result<bool> {
     match try_lock(file) {
         Err(error) if error.kind() == io::ErrorKind::Unsupported => Ok(true),
@@ -108,15 +108,15 @@ fn try_lock(file: &File) -> io::Result<bool> {
     })
 }
 
-/// Returns whether `path` names this file, and not one that took its place.
+/// Returns whether `path` names this file, and not a file that replaced it.
 pub fn is_at(file: &File, path: &Path) -> bool {
     let number = |kind: fs::Metadata| (kind.dev(), kind.ino());
     let at_path = fs::symlink_metadata(path).map(number).ok();
     at_path.is_some() && at_path == file.metadata().map(number).ok()
 }
 
-/// Removes a file in the making if its writer has died: a living one holds its lock. Where that cannot be
-/// found out, the file stays.
+/// Removes an unfinished file whose writer has died: a living writer holds its lock. Does nothing if the lock
+/// cannot be tested.
 pub fn remove_if_unlocked(path: &Path) -> Result<()> {
     let opened = File::options()
         .read(true)
@@ -136,7 +136,7 @@ fn remove_if_there(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Renames a file that is whole: after a loss of power its new name holds it or what it held before.
+/// Renames a complete file. After a loss of power, `to` holds either this file or its earlier content.
 pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
     let mut interrupted = false;
     let renamed = again(|| {
@@ -145,7 +145,7 @@ pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
         renamed
     });
     match renamed {
-        // On some file systems a call that was interrupted may still have been carried out.
+        // On some file systems an interrupted call may still have taken effect.
         Err(error) if interrupted && error.kind() == io::ErrorKind::NotFound => {
             if is_at(file, to) {
                 Ok(())
@@ -157,7 +157,7 @@ pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// Waits until the names in the folder of a file are on the disk.
+/// Waits until the disk holds the names in the folder of `path`.
 pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     let folder = match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
@@ -177,8 +177,8 @@ pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Waits until all files that were written without waiting ([`write_checked_later`]) are on the disk: those of
-/// the file system that holds `folder`.
+/// Waits until the disk holds all files that were written without waiting ([`write_checked_later`]) to the file
+/// system of `folder`.
 pub fn sync_all(folder: &Path) -> Result<()> {
     let synced = File::open(folder).and_then(|file| again(|| Ok(rustix::fs::syncfs(&file)?)));
     synced.map_err(Error::io("write", folder))
@@ -290,7 +290,10 @@ pub fn remove(path: &Path) -> Result<()> {
     remove_if_there(path).map_err(Error::io("remove", path))
 }
 
-/// The names in a folder; none if there is no such folder. Errors: a link in its place.
+/// Returns the names in a folder, or none if the folder does not exist.
+///
+/// # Errors
+/// The path is a symbolic link.
 pub fn names_in(folder: &Path) -> Result<Vec<OsString>> {
     let read = || -> io::Result<Vec<OsString>> {
         check_own_folder(folder)?;
@@ -330,5 +333,50 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         write_bytes(&path, b"whole").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"whole");
+    }
+
+    #[test]
+    fn interrupted_calls_are_made_again_and_not_for_ever() {
+        let interrupted = || io::Error::from(io::ErrorKind::Interrupted);
+        for interruptions in [0, 1, TRIES - 1] {
+            let mut calls = 0;
+            let done = again(|| {
+                calls += 1;
+                if calls > interruptions {
+                    Ok(calls)
+                } else {
+                    Err(interrupted())
+                }
+            });
+            assert_eq!(done.unwrap(), interruptions + 1);
+        }
+        let mut calls = 0;
+        let done = again(|| -> io::Result<()> {
+            calls += 1;
+            Err(interrupted())
+        });
+        assert_eq!(done.unwrap_err().kind(), io::ErrorKind::Interrupted);
+        assert_eq!(calls, TRIES);
+        let other = again(|| -> io::Result<()> { Err(io::ErrorKind::NotFound.into()) });
+        assert_eq!(other.unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn a_file_in_the_making_goes_when_its_writer_has_died() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.part");
+        let file = create_locked(&path).unwrap();
+        remove_if_unlocked(&path).unwrap();
+        assert!(path.exists(), "its writer lives");
+        drop(file);
+        remove_if_unlocked(&path).unwrap();
+        assert!(!path.exists());
+        // None is there, or a link that leads elsewhere.
+        remove_if_unlocked(&path).unwrap();
+        fs::write(folder.path().join("mine"), "mine").unwrap();
+        std::os::unix::fs::symlink("mine", &path).unwrap();
+        remove_if_unlocked(&path).unwrap();
+        drop(create_locked(&path).unwrap());
+        assert_eq!(fs::read(folder.path().join("mine")).unwrap(), b"mine");
     }
 }

@@ -87,7 +87,7 @@ pub struct FrameRecord {
 }
 
 impl Record for FrameRecord {
-    /// Whether all numbers are finite and all points are of this frame.
+    /// Returns whether all numbers are finite and all points belong to this frame.
     fn is_sound(&self) -> bool {
         self.points.iter().all(|point| {
             let numbers = [
@@ -109,12 +109,12 @@ impl Record for FrameRecord {
     }
 }
 
-/// What a journal holds after its header.
+/// A record of a journal, which follows the header.
 pub trait Record: Serialize + DeserializeOwned + Sync {
-    /// Whether a run may have written it. A checksum does not show what was computed from wrong numbers.
+    /// Returns whether a run may have written the record. Its checksum does not show that.
     fn is_sound(&self) -> bool;
 
-    /// The record that a content holds; `None` where it is none, or not sound.
+    /// Decodes a record. Returns `None` if the content is no record, or not a sound one.
     fn read(content: &[u8]) -> Option<Self> {
         let record = postcard::from_bytes::<Self>(content).ok();
         record.filter(Record::is_sound)
@@ -131,12 +131,11 @@ pub struct Journal {
 const SYNC: Duration = Duration::from_secs(10);
 
 impl Journal {
-    /// Opens the journal in `out` for one run alone, and with `resume` returns how many frames
-    /// are in it; else it starts anew. `prepare` is called with that number before anything in the journal
-    /// changes.
+    /// Opens the journal in `out` for one run only. With `resume`, returns how many frames it holds; otherwise
+    /// starts a new journal. `prepare` is called with that number before the journal changes.
     ///
-    /// Errors: another run writes there; with `resume`, frames of another scene,
-    /// seed, range or version.
+    /// # Errors
+    /// Another run writes there; with `resume`, the frames belong to another scene, seed, range or version.
     pub fn open(
         out: &Path,
         key: &RunKey,
@@ -160,8 +159,8 @@ impl Journal {
         Ok((journal, kept))
     }
 
-    /// Makes a journal in `out` of the records that `fill` appends, in place of the one that is there once it is
-    /// whole. `prepare` is called before.
+    /// Writes a journal of the records that `fill` appends. It replaces the journal in `out` when it is complete.
+    /// `prepare` is called first.
     pub fn make(
         out: &Path,
         key: &RunKey,
@@ -173,7 +172,7 @@ impl Journal {
         journal.replaced(key, fill).map(drop)
     }
 
-    /// The journal in `out` as it is, for one run alone.
+    /// Opens and locks the journal in `out` without a change.
     fn locked(out: &Path) -> Result<Journal> {
         let path = out.join("frames.journal");
         loop {
@@ -192,7 +191,7 @@ impl Journal {
         }
     }
 
-    /// Puts a new journal in place of this one, which stays locked until then.
+    /// Replaces this journal by a new one. This one stays locked until then.
     fn replaced(
         self,
         key: &RunKey,
@@ -201,8 +200,8 @@ impl Journal {
         Journal::written(&self.path, files::PART, key, fill)
     }
 
-    /// Writes a journal under the name that `part` ends, and renames it when `fill` is done. On an error nothing
-    /// is left of it.
+    /// Writes a journal under a name that ends in `part`, and renames it when `fill` returns. Leaves nothing on an
+    /// error.
     pub fn written(
         path: &Path,
         part: &str,
@@ -508,6 +507,72 @@ mod tests {
             "{lengths:?}"
         );
         assert_eq!(open(&[&whole[..], b"more"].concat()), 3);
+    }
+
+    /// With a checksum that is right, numbers that no run writes.
+    #[test]
+    fn records_of_numbers_that_are_not_finite_are_not_kept() {
+        let changes: [fn(&mut CloudPoint, f64); 13] = [
+            |point, x| point.position.x = x,
+            |point, x| point.position.y = x,
+            |point, x| point.position.z = x,
+            |point, x| point.deviation = x,
+            |point, x| point.sigma = x,
+            |point, x| point.repeatability = x,
+            |point, x| point.correlation_length = x,
+            |point, x| point.deviation_sigma = x,
+            |point, x| point.intensity = x,
+            |point, x| point.row = x,
+            |point, x| point.width = x,
+            |point, x| point.normal.y = x as f32,
+            |point, x| point.direct = x as f32,
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        for (i, change) in changes.iter().enumerate() {
+            for x in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+                let mut forged = record(4);
+                change(&mut forged.points[i % 4], x);
+                let fill = |journal: &mut Journal| journal.append(&[record(3), forged, record(5)]);
+                Journal::make(folder.path(), &key(), || Ok(()), fill).unwrap();
+                let opened = Journal::open(folder.path(), &key(), true, |_| Ok(()));
+                assert_eq!(opened.unwrap().1, 1, "{i} {x}");
+            }
+        }
+        let mut forged = record(4);
+        forged.points[2].frame = 7;
+        assert!(!forged.is_sound() && record(4).is_sound());
+    }
+
+    /// Until the new one is whole, the old journal stays as it is; nothing is left of one that fails.
+    #[test]
+    fn a_journal_is_replaced_by_a_whole_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = written(folder.path());
+        let names = || files::names_in(folder.path()).unwrap();
+        let made = Journal::make(
+            folder.path(),
+            &key(),
+            || Ok(()),
+            |journal| {
+                journal.append(&[record(3)])?;
+                assert_eq!(
+                    fs::read(folder.path().join("frames.journal")).unwrap(),
+                    whole
+                );
+                Err(Error::Interrupted)
+            },
+        );
+        assert!(matches!(made, Err(Error::Interrupted)));
+        assert_eq!(names(), ["frames.journal"]);
+        assert_eq!(
+            fs::read(folder.path().join("frames.journal")).unwrap(),
+            whole
+        );
+        let fill = |journal: &mut Journal| journal.append(&[record(3)]);
+        Journal::make(folder.path(), &key(), || Ok(()), fill).unwrap();
+        let (mut journal, kept) = Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
+        assert_eq!((kept, records(&mut journal)), (1, vec![record(3)]));
+        assert_eq!(names(), ["frames.journal"]);
     }
 
     #[test]

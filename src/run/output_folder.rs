@@ -1,7 +1,7 @@
-//! Folders that commands write to. Before its first output a run records the names of the files that it will
-//! write, in `.lasertrace/HASH.json`, and only files that such a list names are ever replaced or removed. So
-//! files of the user's are safe, also after a kill. Each list is a file of its own, named by its content: runs
-//! that work at the same time do not write the same one with other content.
+//! Folders that commands write to. Before its first output, a run records the names of the files that it will
+//! write in `.lasertrace/HASH.json`. A run replaces and removes only files that such a list names, which protects
+//! the user's files, also after a kill. The name of a list is a hash of its content, so runs that work at the same
+//! time never write different contents to one list.
 
 use super::files::{self, PART, names_in};
 use super::journal::checksum;
@@ -15,15 +15,15 @@ use std::path::{Path, PathBuf};
 /// The folder of the lists.
 pub const LISTS: &str = ".lasertrace";
 
-/// Names of files that an error shows.
+/// Number of file names that an error shows.
 const SHOWN: usize = 3;
 
 /// A folder to write to.
 #[derive(Debug, Clone, Copy)]
 pub struct OutputFolder<'a> {
-    /// Where it is, or is to be made.
+    /// Its path. The folder is created if it does not exist.
     pub path: &'a Path,
-    /// Whether files of the names that are written may be replaced though no list names them.
+    /// Whether files that no list names may be replaced.
     pub force: bool,
 }
 
@@ -53,7 +53,7 @@ struct Series {
 }
 
 impl Names {
-    /// These names.
+    /// Returns a set of names.
     pub fn of(names: impl IntoIterator<Item: Into<String>>) -> Names {
         Names {
             files: names.into_iter().map(Into::into).collect(),
@@ -61,7 +61,7 @@ impl Names {
         }
     }
 
-    /// These and others that have a number between `before` and `after`, of at least `digits` digits.
+    /// Adds the names that consist of `before`, one of the `numbers` with at least `digits` digits, and `after`.
     pub fn and(mut self, before: &str, digits: usize, after: &str, numbers: Range<u64>) -> Names {
         self.series.push(Series {
             before: before.to_owned(),
@@ -76,12 +76,12 @@ impl Names {
         self.files.contains(name) || self.series.iter().any(|series| series.has(name))
     }
 
-    /// Whether a file of this name is in these, or is written before one of them is whole.
+    /// Returns whether this is one of the names, or the name of one of these files while it is unfinished.
     fn has_part(&self, name: &str) -> bool {
         self.has(name) || whole_name(name).is_some_and(|name| self.has(name))
     }
 
-    /// The folders of all these files, below the output folder; "" for itself.
+    /// Returns the folders of all these files, relative to the output folder, which is "".
     fn folders(&self) -> BTreeSet<&str> {
         let series = self.series.iter().map(|series| &series.before);
         let all = self.files.iter().chain(series);
@@ -97,7 +97,7 @@ impl Series {
             .and_then(|rest| rest.strip_suffix(&self.after));
         let Some(number) = number else { return false };
         let value = number.parse::<u64>().ok();
-        // As it is written, and not with a sign or more zeros.
+        // Only as a run writes it, without a sign or further zeros.
         value.is_some_and(|value| {
             self.numbers.contains(&value)
                 && format!("{value:0width$}", width = self.digits) == number
@@ -105,7 +105,7 @@ impl Series {
     }
 }
 
-/// The name of the file that one in the making becomes: `cloud.ply` of `cloud.ply.part` and of
+/// Returns the final name of an unfinished file: `cloud.ply` for `cloud.ply.part` and for
 /// `cloud.ply.0123456789abcdef.part`.
 fn whole_name(name: &str) -> Option<&str> {
     let name = name.strip_suffix(PART)?;
@@ -122,26 +122,25 @@ fn below(folder: &str, name: &str) -> String {
     }
 }
 
-/// An output folder whose lists have the names that a run writes.
+/// An output folder whose lists include the files of this run.
 pub struct Claimed<'a> {
     pub path: &'a Path,
-    /// What earlier runs listed.
+    /// Lists of earlier runs.
     before: Vec<Names>,
 }
 
 impl<'a> OutputFolder<'a> {
-    /// Makes the folder if it is not there, and records the names that a run writes. What died runs left of
-    /// unfinished files goes.
+    /// Creates the folder and records the names that a run writes. Removes unfinished files of runs that died.
     ///
     /// # Errors
-    /// `Error::Occupied`: it holds files that no list names, unless `force`; `Error::Usage`: one of the `inputs`
+    /// `Error::Occupied` for files that no list names, unless `force` is set; `Error::Usage` if one of the `inputs`
     /// would be replaced.
     pub fn claim(self, inputs: &[PathBuf], names: &Names) -> Result<Claimed<'a>> {
         let path = self.path;
         files::create_folder(path)?;
-        // Its name in the folder above.
+        // Best effort: the folder above may not be readable.
         let _ = files::sync_folder_of(path);
-        // First what is there, then the lists: who writes lists first.
+        // Lists are read after the folder, because every run writes its list before its files.
         let mut found = Vec::new();
         for folder in names.folders() {
             let entries = names_in(&path.join(folder))?;
@@ -165,7 +164,7 @@ impl<'a> OutputFolder<'a> {
             foreign.sort();
             return Err(Error::Occupied {
                 folder: path.to_owned(),
-                found: in_words(&foreign),
+                found: summary(&foreign),
             });
         }
         for name in found.iter().filter(|name| listed(name)) {
@@ -179,7 +178,7 @@ impl<'a> OutputFolder<'a> {
 }
 
 impl Claimed<'_> {
-    /// Removes a file if an earlier run listed it.
+    /// Removes a file if the list of an earlier run names it.
     pub fn remove(&self, name: &str) -> Result<()> {
         match self.before.iter().any(|list| list.has(name)) {
             true => files::remove(&self.path.join(name)),
@@ -187,7 +186,7 @@ impl Claimed<'_> {
         }
     }
 
-    /// Removes all files in a folder below that earlier runs listed.
+    /// Removes all files in a subfolder that lists of earlier runs name.
     pub fn remove_in(&self, folder: &str) -> Result<()> {
         for name in names_in(&self.path.join(folder))? {
             if let Some(name) = name.to_str() {
@@ -198,7 +197,7 @@ impl Claimed<'_> {
     }
 }
 
-/// Removes unfinished files of these names that no living run writes.
+/// Removes unfinished files of these names whose writers have died.
 pub fn remove_unfinished(folder: &Path, names: &Names) -> Result<()> {
     for below_it in names.folders() {
         for name in names_in(&folder.join(below_it))? {
@@ -212,7 +211,7 @@ pub fn remove_unfinished(folder: &Path, names: &Names) -> Result<()> {
     Ok(())
 }
 
-/// The lists in a folder. One that cannot be read lists nothing.
+/// Returns the lists in a folder. A damaged list names nothing.
 fn lists(path: &Path) -> Result<Vec<Names>> {
     let folder = path.join(LISTS);
     let mut lists = Vec::new();
@@ -229,7 +228,7 @@ fn lists(path: &Path) -> Result<Vec<Names>> {
     Ok(lists)
 }
 
-/// Adds a list, unless it is there.
+/// Adds a list, unless the folder has it.
 fn record(path: &Path, names: &Names, before: &[Names]) -> Result<()> {
     if before.contains(names) {
         return Ok(());
@@ -246,7 +245,7 @@ fn record(path: &Path, names: &Names, before: &[Names]) -> Result<()> {
     })
 }
 
-/// Refuses to write where an input is, under any of its names.
+/// Returns an error if an input would be replaced, whichever path or link leads to it.
 fn refuse_inputs(path: &Path, inputs: &[PathBuf], is_ours: impl Fn(&str) -> bool) -> Result<()> {
     let folder = path
         .canonicalize()
@@ -265,9 +264,9 @@ fn refuse_inputs(path: &Path, inputs: &[PathBuf], is_ours: impl Fn(&str) -> bool
     Ok(())
 }
 
-/// Where a file is, and the links through which its path leads to it.
+/// Returns where a file is, and the symbolic links that its path follows.
 fn locations(file: &Path) -> Vec<PathBuf> {
-    /// As many links as the system follows.
+    /// The system follows at most this number of links.
     const LINKS: usize = 40;
     let mut locations = Vec::new();
     let mut next = Some(file.to_owned());
@@ -285,7 +284,7 @@ fn locations(file: &Path) -> Vec<PathBuf> {
     locations
 }
 
-fn in_words(names: &[String]) -> String {
+fn summary(names: &[String]) -> String {
     let shown = names.iter().take(SHOWN).map(|name| printable::short(name));
     let shown = shown.collect::<Vec<_>>().join(", ");
     match names.len().saturating_sub(SHOWN) {

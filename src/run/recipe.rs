@@ -54,7 +54,7 @@ impl Written {
         }
     }
 
-    /// What the TOML reader cannot read.
+    /// Explains an error of the TOML reader.
     fn explain(&self, error: &toml::de::Error, expected: &str) -> Error {
         let table = self.text.parse::<toml::Table>().ok();
         let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));

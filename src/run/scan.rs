@@ -74,9 +74,9 @@ pub struct ScanOptions {
 
 /// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`,
 /// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
-/// the scene asks for them. What an earlier run wrote there under these names goes
-/// first, but with `resume` the frames whose record and image are whole. Other files are
-/// left alone ([`OutputFolder`]).
+/// the scene asks for them. Files that an earlier run wrote under these names are removed
+/// first, but with `resume` not the frames whose record and image are complete. Other files
+/// are not touched ([`OutputFolder`]).
 ///
 /// While frames are taken, memory does not grow with their number; for the report
 /// all points are read back, some 100 bytes each.
@@ -234,7 +234,7 @@ pub fn merge<'a>(
         ..options.clone()
     };
     let summary = scan(scene, &options, out, control)?;
-    // What killed runs left.
+    // Unfinished files of killed runs.
     remove_unfinished(out.path, &shard_names(scene, of, &key.frames))?;
     Ok(summary)
 }
@@ -266,7 +266,7 @@ fn strict_simulation(
     Ok(Some(simulation))
 }
 
-/// Files that every scan writes. The manifest is the first: without it a run is not complete.
+/// Files that every scan writes. The manifest is removed first: without it a run is not complete.
 const FILES: [&str; 7] = [
     "manifest.json",
     "summary.json",

@@ -463,9 +463,9 @@ fn one_of(choices: &[String]) -> String {
     }
 }
 
-/// The choice most like `word`, if it is one misspelt: of those that are similar by Jaro and Winkler, with the
-/// bound that cargo and clap use for command lines, the one with the fewest letters added, left out,
-/// replaced or exchanged, and of several the most similar.
+/// Returns the choice that `word` probably misspells. Candidates are similar by Jaro and Winkler, with the
+/// bound that cargo and clap use for command lines. The candidate at the smallest edit distance wins, and
+/// the more similar one of two at the same distance.
 fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     let rated = choices.iter().map(|&c| (strsim::jaro_winkler(word, c), c));
     let similar = rated.filter(|(similarity, _)| *similarity > 0.8);
@@ -476,7 +476,7 @@ fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     best.map(|(_, choice)| choice)
 }
 
-/// What to do about a backslash in a text in double quotes, as in names of files under Windows.
+/// Returns a hint if a line has a backslash in double quotes, as in paths of Windows.
 pub(crate) fn backslash_hint(line: &str) -> Option<&'static str> {
     let quoted = line
         .split_once('"')
@@ -486,7 +486,7 @@ pub(crate) fn backslash_hint(line: &str) -> Option<&'static str> {
     )
 }
 
-/// What a file of TOML describes, by its keys.
+/// The kinds of TOML file that the program reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FileKind {
     Scene,
@@ -506,7 +506,7 @@ impl FileKind {
     }
 }
 
-/// What a file that has these keys at its top describes; `None` where they do not show it.
+/// Returns the kind of a file by its top-level keys; `None` if they do not tell.
 pub(crate) fn file_kind(has: impl Fn(&str) -> bool) -> Option<FileKind> {
     let any = |keys: &[&str]| keys.iter().any(|key| has(key));
     match () {

@@ -53,7 +53,7 @@ impl Draw {
     }
 }
 
-/// What is written.
+/// Files that are written.
 const FILES: [&str; 2] = ["uncertainty.json", "uncertainty.svg"];
 
 /// Runs a frame with `seeds` seeds from the scene's own on, and writes

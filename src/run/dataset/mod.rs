@@ -90,7 +90,6 @@ pub fn dataset<'a>(
     let out = out.into().claim(&inputs, &names)?.path;
     let own = (u64::from(shard.shard)..files).step_by(shard.of as usize);
     let (mut done, mut made) = (0, 0);
-    // Files that other shards make are read before the set's index is written, and own ones before they are kept.
     for file in own.clone() {
         let samples = file * recipe.samples_per_file
             ..((file + 1) * recipe.samples_per_file).min(recipe.samples);
@@ -271,8 +270,10 @@ fn append<W: Write>(tar: &mut tar::Builder<W>, name: &str, content: &[u8]) -> io
     tar.append_data(&mut header, name, content)
 }
 
-/// Writes the set's index if all its files are there, after those of other shards have been read. Errors: one of
-/// these is damaged; one of this run's own is lost.
+/// Writes the set's index if all its files are there. Files of other shards are checked first.
+///
+/// # Errors
+/// A file of another shard is damaged; one of this shard is missing.
 fn index(
     recipe: &Recipe,
     files: u64,
@@ -316,7 +317,7 @@ fn index(
         files: found,
     };
     write_json(&path, &set)?;
-    // What killed runs left.
+    // Unfinished files of killed runs.
     remove_unfinished(out, &names(files))?;
     Ok(Some(path))
 }

@@ -154,7 +154,7 @@ fn folder(out: &Path) -> PathBuf {
     out.join("places")
 }
 
-/// What is written once all places are there.
+/// Files that are written when all places are finished.
 const TABLES: [&str; 2] = ["sweep.csv", "sweep.svg"];
 
 impl Sweep {
@@ -387,7 +387,7 @@ impl Sweep {
             .into());
         }
         summary.plots = table::write_plots(&out.join("sweep.svg"), &self.places, &rows, plots)?;
-        // What killed runs left.
+        // Unfinished files of killed runs.
         remove_unfinished(out, &Names::of(TABLES))?;
         Ok(summary)
     }
