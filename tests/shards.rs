@@ -184,7 +184,7 @@ fn shards_killed_run_twice_damaged_and_lost_give_the_bytes_of_an_undivided_scan(
 #[test]
 fn missing_shards_of_millions_are_named() {
     for (shards, of, array) in [
-        (&[0][..], 20_000_000, "1-19999999"),
+        (&[0_u32][..], 20_000_000_u32, "1-19999999"),
         (&[7, 19_999_998], 20_000_000, "0-6,8-19999997,19999999"),
         (&[4_294_967_294], u32::MAX, "0-4294967293"),
     ] {
