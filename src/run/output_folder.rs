@@ -147,7 +147,8 @@ impl<'a> OutputFolder<'a> {
             let entries = entries.iter().filter_map(|name| name.to_str());
             found.extend(entries.map(|name| below(folder, name)));
         }
-        let top = names_in(path)?;
+        // With a slash at its end: the folder itself may be given as a link.
+        let top = names_in(&path.join(""))?;
         let before = lists(path)?;
         let listed = |name: &str| before.iter().any(|list| list.has_part(name));
         let mut foreign: Vec<String> = match before.is_empty() {
