@@ -1,6 +1,7 @@
 //! The one error type. A user's mistake names the file, the place in it, the
 //! key, what was found and what was expected; a bug is an assertion instead.
 
+pub mod input_file;
 pub mod printable;
 
 use printable::{path, short};
@@ -110,6 +111,14 @@ pub enum Error {
         /// What the two runs do not have in common.
         difference: String,
     },
+    /// The output folder holds files that no run of this program wrote.
+    #[error("{} holds {found}, not written by lasertrace", path(folder))]
+    Occupied {
+        /// The output folder.
+        folder: PathBuf,
+        /// Names of some of these files.
+        found: String,
+    },
     /// The machine has too little memory.
     #[error(
         "{work} takes {:.2} GB, and {:.2} GB of memory are free: make it smaller, take fewer \
@@ -160,7 +169,7 @@ impl Error {
     pub fn exit_code(&self) -> u8 {
         use std::io::ErrorKind::{FileTooLarge, OutOfMemory, QuotaExceeded, StorageFull};
         match self {
-            Error::Usage(_) | Error::OtherRun { .. } => 64,
+            Error::Usage(_) | Error::OtherRun { .. } | Error::Occupied { .. } => 64,
             Error::Input(_) | Error::Warned(_) => 65,
             Error::Embree(_) => 70,
             Error::Io { source, .. } => match source.kind() {

@@ -118,14 +118,14 @@ fn an_output_folder_that_cannot_be_is_an_input_output_error() {
     fs::create_dir_all(path.join("out/cloud.ply")).unwrap();
     assert_error(
         path,
-        &["scan", "scene.toml", "-o", "out"],
+        &["scan", "scene.toml", "-o", "out", "--force"],
         74,
         &["out/cloud.ply"],
     );
     fs::create_dir_all(path.join("image/frame-000000.png")).unwrap();
     assert_error(
         path,
-        &["render", "scene.toml", "-o", "image"],
+        &["render", "scene.toml", "-o", "image", "--force"],
         74,
         &["frame-000000.png"],
     );

@@ -36,7 +36,8 @@ fn made(folder: &Path, more: &[&str]) -> (i32, String, String) {
 
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(folder.join("out")).unwrap();
-    let files = entries.map(|entry| entry.unwrap().path());
+    let paths = entries.map(|entry| entry.unwrap().path());
+    let files = paths.filter(|path| path.is_file());
     let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
     files
         .map(|path| (name(&path), fs::read(&path).unwrap()))
@@ -60,7 +61,7 @@ fn threads_shards_and_losses_change_no_byte() {
     assert!(contents(folder.path()) == expected);
     // A kill leaves an unfinished file; a file is cut, another lost.
     let out = folder.path().join("out");
-    fs::write(out.join("samples-000003.tar.1f.part"), "cut").unwrap();
+    fs::write(out.join("samples-000003.tar.000000000000001f.part"), "cut").unwrap();
     fs::write(out.join("samples-000001.tar"), "cut").unwrap();
     fs::remove_file(out.join("samples-000002.tar")).unwrap();
     let (_, said, _) = made(folder.path(), &[]);
@@ -80,6 +81,50 @@ fn threads_shards_and_losses_change_no_byte() {
 }
 
 /// The files in a tar, by name.
+
+/// Bytes that changed on the disk are found by the SHA-256 of the index: a run makes its own files again, and refuses
+/// to call the set whole while another shard's are damaged.
+#[test]
+fn damaged_files_are_found_by_their_checksum() {
+    let folder = set_folder(RECIPE);
+    let out = folder.path().join("out");
+    assert_eq!(made(folder.path(), &[]).0, 0);
+    let expected = contents(folder.path());
+    let mut state = 3_u64;
+    for file in [0, 1, 3] {
+        let tar = out.join(format!("samples-{file:06}.tar"));
+        let mut bytes = fs::read(&tar).unwrap();
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1);
+        let at = (state >> 33) as usize % bytes.len();
+        bytes[at] ^= 1 << (at % 8);
+        fs::write(&tar, &bytes).unwrap();
+        fs::remove_file(out.join("index.json")).unwrap();
+        let other = format!("{}/2", 1 - file % 2);
+        let (code, _, stderr) = made(folder.path(), &["--shard", &other]);
+        assert_eq!(code, 65, "{stderr}");
+        let words = format!("samples-{file:06}.tar: found other bytes");
+        let again = format!("run shard {} of 2 again", file % 2);
+        assert!(
+            stderr.contains(&words) && stderr.contains(&again),
+            "{stderr}"
+        );
+        assert!(!out.join("index.json").exists());
+        let (_, said, _) = made(folder.path(), &["--shard", &format!("{}/2", file % 2)]);
+        assert!(said.contains("1 of them made now"), "{said}");
+        assert!(contents(folder.path()) == expected);
+    }
+    // What cannot be read back is no success.
+    let index = out.join("samples-000002.json");
+    fs::remove_file(&index).unwrap();
+    fs::create_dir(&index).unwrap();
+    fs::remove_file(out.join("index.json")).unwrap();
+    let (code, _, stderr) = made(folder.path(), &[]);
+    assert!(
+        code != 0 && stderr.contains("samples-000002.json"),
+        "{stderr}"
+    );
+}
+
 fn unpacked(tar: &[u8]) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for entry in tar::Archive::new(tar).entries().unwrap() {

@@ -27,6 +27,7 @@ struct Case {
 
 const CHECK: &str = "lasertrace check scene.toml";
 const SCAN: &str = "lasertrace scan scene.toml -o out";
+const FORCED: &str = "lasertrace scan scene.toml -o out --force";
 
 fn write(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     fs::write(folder.join(name), bytes).unwrap();
@@ -248,7 +249,8 @@ fn cases() -> Vec<Case> {
             CHECK,
             65,
             "lasertrace: scene.toml:6: part.mesh.file: found \"a\\u001b[2J\\nlasertrace: \
-             done.stl\", expected a mesh file; there is none at a\\u{1b}[2J\\nlasertrace: done.stl",
+             done.stl\", expected a mesh file; there is none at a\\u{1b}[2J\\nlasertrace: done.stl; a backslash does not \
+             separate folders, and in double quotes it begins an escape: write /",
             |folder| {
                 write(
                     folder,
@@ -283,14 +285,14 @@ fn cases() -> Vec<Case> {
         ),
         case(
             "a link in the place of a file in the making",
-            SCAN,
+            FORCED,
             0,
             "open the report:  out/report.html",
             |folder| linked(folder, "cloud.ply.part"),
         ),
         case(
             "a link in the place of the journal",
-            SCAN,
+            FORCED,
             74,
             "lasertrace: cannot open out/frames.journal: it is a symbolic link, and links in an \
              output folder are not followed; remove it",
@@ -298,7 +300,7 @@ fn cases() -> Vec<Case> {
         ),
         case(
             "a link in the place of a folder",
-            SCAN,
+            FORCED,
             74,
             "lasertrace: cannot read folder out/frames: it is a symbolic link, and links in \
              an output folder are not followed; remove it",

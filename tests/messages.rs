@@ -34,6 +34,28 @@ const MISTAKES: &[Case] = &[
         &["scene.toml:13: laser.power_mv", "did you mean power_mw?"],
     ),
     case(
+        "a letter too many",
+        &[("exposure_ms = 0.01", "exposure_mss = 0.01")],
+        &["camera.exposure_mss", "did you mean exposure_ms?"],
+    ),
+    case(
+        "a path with backslashes",
+        &[(
+            PLANE,
+            "mesh = { file = \"C:\\parts\\x.stl\", unit = \"mm\" }",
+        )],
+        &["scene.toml:6: part.mesh", "write / between folders"],
+    ),
+    case(
+        "a path with backslashes that are escapes",
+        &[(PLANE, "mesh = { file = \"new\\table.stl\", unit = \"mm\" }")],
+        &[
+            "scene.toml:6: part.mesh.file",
+            "a backslash does not separate folders",
+            "write /",
+        ],
+    ),
+    case(
         "a key stands in the wrong table",
         &[("[laser]\n", "[laser]\nreflectance = 0.5\n")],
         &[
@@ -538,6 +560,70 @@ fn mistake(case: &Case) -> String {
         "{error}"
     );
     message
+}
+
+/// A scene is asked for, and another file of this program's is given, or the other way round.
+#[test]
+fn a_file_of_another_kind_is_named() {
+    let folder = folder_with(&scene(PLANE));
+    let sweep = "scene = \"scene.toml\"\n[grid]\n\"camera.f_number\" = [8, 11]\n";
+    fs::write(folder.path().join("sweep.toml"), sweep).unwrap();
+    let recipe = "scene = \"scene.toml\"\nsamples = 2\n";
+    fs::write(folder.path().join("set.toml"), recipe).unwrap();
+    let sensors = Path::new(env!("CARGO_MANIFEST_DIR")).join("sensors");
+    let sensor = |name: &str| sensors.join(name).to_str().unwrap().to_owned();
+    let [sheet, other] = ["generic-20mm-405nm.toml", "generic-400mm-660nm.toml"].map(sensor);
+    let parts = "[laser]\nwavelength_nm = 660\n[camera]\nf_number = 8\n";
+    fs::write(folder.path().join("parts.toml"), parts).unwrap();
+    let cases = [
+        (
+            &["scan", "render", "chart"][..],
+            sheet.as_str(),
+            "a sensor's file",
+            "lasertrace begin",
+        ),
+        (&["scan"], &other, "a sensor's file", "lasertrace begin"),
+        (
+            &["scan"],
+            "parts.toml",
+            "a sensor's file",
+            "lasertrace begin",
+        ),
+        (
+            &["scan", "render", "calibrate"],
+            "sweep.toml",
+            "a sweep",
+            "lasertrace sweep",
+        ),
+        (
+            &["scan", "merge"],
+            "set.toml",
+            "a data set's recipe",
+            "lasertrace dataset",
+        ),
+        (&["sweep", "dataset"], "scene.toml", "a scene", "scene = "),
+        (&["sweep", "dataset"], &sheet, "a sensor's file", "scene = "),
+    ];
+    for (commands, file, kind, remedy) in cases {
+        for command in commands {
+            let (code, _, stderr) = run(folder.path(), &[command, file, "-o", "out"]);
+            assert_eq!(code, 65, "{command} {file}: {stderr}");
+            let found = format!("found {kind}, expected");
+            assert!(
+                stderr.contains(&found) && stderr.contains(remedy),
+                "{command} {file}: {stderr}"
+            );
+        }
+    }
+    // In the other files of this program too.
+    fs::write(
+        folder.path().join("sweep.toml"),
+        sweep.replace("scene.toml", "a\\scene.toml"),
+    )
+    .unwrap();
+    let (code, _, stderr) = run(folder.path(), &["sweep", "sweep.toml", "-o", "out"]);
+    assert_eq!(code, 65, "{stderr}");
+    assert!(stderr.contains("write / between folders"), "{stderr}");
 }
 
 /// The warnings of a scene: lines of the page, exit code 0; with `--strict` an error before anything is written.

@@ -209,7 +209,7 @@ fn a_chart_compares_all_ways_with_the_full_model() {
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     names.sort();
-    assert_eq!(names, ["chart.json", "chart.svg"]);
+    assert_eq!(names, [".lasertrace", "chart.json", "chart.svg"]);
     let svg = fs::read_to_string(folder.path().join("out/chart.svg")).unwrap();
     assert!(svg.contains("tolerance 30.0 µm") && !svg.contains("NaN") && !svg.contains("inf"));
 }

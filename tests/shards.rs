@@ -180,6 +180,36 @@ fn shards_killed_run_twice_damaged_and_lost_give_the_bytes_of_an_undivided_scan(
     }
 }
 
+/// Which shards are missing follows from the journals that are there, however many there are to be.
+#[test]
+fn missing_shards_of_millions_are_named() {
+    for (shards, of, array) in [
+        (&[0_u32][..], 20_000_000_u32, "1-19999999"),
+        (&[7, 19_999_998], 20_000_000, "0-6,8-19999997,19999999"),
+        (&[4_294_967_294], u32::MAX, "0-4294967293"),
+    ] {
+        let folder = folder_with(&scene_text());
+        for i in shards {
+            let (code, _, stderr) = shard(folder.path(), &format!("{i}/{of}"));
+            assert_eq!(code, 0, "{stderr}");
+        }
+        // Names that no shard has do not count.
+        for name in [
+            "shard-1-of-3.journal.mine",
+            "shard-x-of-2.journal",
+            "5.journal",
+        ] {
+            fs::write(folder.path().join("out/shards").join(name), "mine").unwrap();
+        }
+        let (code, _, stderr) = merge(folder.path());
+        assert_eq!(code, 65, "{stderr}");
+        assert!(
+            stderr.trim_end().ends_with(&format!("--array={array}")),
+            "{stderr}"
+        );
+    }
+}
+
 #[test]
 fn shards_of_other_runs_and_numbers_are_refused() {
     let folder = folder_with(&scene_text());

@@ -68,6 +68,12 @@ else
     row "$name" "$(grep ' scenes with a line' "$log" | tr '\n' ' ')" "$goal" "$met" "$command"
 fi
 
+name='all commands take paths that are not UTF-8'
+command='cargo test --release --test output_folder -- --ignored'
+# shellcheck disable=SC2086
+try not-utf-8 $command
+row "$name" "$(grep '^test result' "$log" | tr '\n' ' ')" 'every command succeeds' "$met" "$command"
+
 if [ "$surfaces" = 0 ]; then
     skip 'decorrelation of speckle against wave optics' 'at most 5 outside their 95 % interval' 'not in the small form' 'lasertrace wave'
 else

@@ -1,4 +1,4 @@
-use super::{Output, STOP, show};
+use super::{ForceArguments, Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::Control;
@@ -18,6 +18,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -26,6 +28,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         seeds,
         seed,
         output: folder,
+        force,
     } = &arguments;
     let building = output.share("prepared");
     let before = Control {
@@ -40,7 +43,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let summary = acceptance.run(*seeds, folder, &control);
+    let summary = acceptance.run(*seeds, force.folder(folder), &control);
     bar.finish_and_clear();
     let summary = summary?;
     let text = format!("{}{}\n", summary.text(), path(&summary.report));

@@ -1,4 +1,4 @@
-use super::{Output, STOP, show};
+use super::{ForceArguments, Output, STOP, show};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::{Control, Up, begin, warning_lines};
@@ -20,6 +20,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
@@ -35,8 +37,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<()> {
         unit,
         up,
         output: folder,
+        force,
     } = arguments;
-    let begun = begin(part, sensor, (*unit, *up), folder, &control);
+    let begun = begin(part, sensor, (*unit, *up), force.folder(folder), &control);
     building.finish_and_clear();
     let begun = begun?;
     let [x, y, z] = begun.size_mm;

@@ -1,4 +1,4 @@
-use super::Output;
+use super::{ForceArguments, Output};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::scene::Unit;
@@ -23,6 +23,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 #[cfg(feature = "race")]
@@ -54,7 +56,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             effort.seconds
         ));
     };
-    let (mesh_file, out) = (&arguments.mesh, &arguments.output);
+    let (mesh_file, out) = (&arguments.mesh, arguments.force.folder(&arguments.output));
     let bench = study::bench_bvh(mesh_file, &mesh, effort, out, &forecast, &control);
     bar.finish_and_clear();
     let bench = bench?;

@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments};
+use super::{ForceArguments, Output, STOP, SceneArguments};
 use crate::run::Control;
 use crate::study;
 
@@ -16,6 +16,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -26,7 +28,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let summary = study::calibrate(scene, &arguments.output, &control);
+    let summary = study::calibrate(scene, arguments.force.folder(&arguments.output), &control);
     bar.finish_and_clear();
     let summary = summary?;
     output.result(&summary, &text(&summary))

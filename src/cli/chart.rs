@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments, show};
+use super::{ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run::Control;
 use crate::study;
 
@@ -26,6 +26,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -42,7 +44,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let chart = study::chart(&scene, effort, beside.as_ref(), &arguments.output, &control);
+    let chart = study::chart(
+        &scene,
+        effort,
+        beside.as_ref(),
+        arguments.force.folder(&arguments.output),
+        &control,
+    );
     bar.finish_and_clear();
     let chart = chart?;
     output.result(&chart, &text(&chart))

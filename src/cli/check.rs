@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments, show};
+use super::{ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
 use crate::run::Control;
 
@@ -19,6 +19,8 @@ pub struct Arguments {
     /// Folder to write sensor.svg to: laser, camera and measuring range to scale, with the part
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 #[derive(Serialize)]
@@ -48,7 +50,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         checked,
     };
     if let Some(out) = &arguments.output {
-        run::draw_sensor(&check.checked, out)?;
+        run::draw_sensor(&check.checked, arguments.force.folder(out))?;
     }
     run::refuse(&check.checked.warnings, arguments.strict)?;
     let text = match is_sensor {

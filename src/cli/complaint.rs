@@ -16,6 +16,7 @@ struct Complaint<'a> {
 
 #[derive(Serialize)]
 struct InFile<'a> {
+    #[serde(serialize_with = "printable::in_json")]
     file: &'a Path,
     /// From 1.
     line: Option<usize>,
@@ -56,6 +57,10 @@ impl Complaints {
         let when = if full { "when there is room, " } else { "" };
         let other = matches!(error, Error::OtherRun { .. });
         let next = match self.again {
+            _ if matches!(error, Error::Occupied { .. }) => {
+                "name an empty folder with -o, or add --force to replace files of the names that this \
+                 command writes; an input is never replaced"
+            }
             Again::Resumes if other => "without --resume the scan starts anew and replaces it",
             _ if other => "give a folder of its own with -o",
             _ if !full && !interrupted => "",

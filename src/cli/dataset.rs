@@ -1,4 +1,4 @@
-use super::{Output, STOP, scan, show};
+use super::{ForceArguments, Output, STOP, scan, show};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::{self, Control, Shard};
@@ -15,6 +15,8 @@ pub struct Arguments {
     /// Folder to write to; tar files that are there are kept
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -22,6 +24,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         recipe,
         shard,
         output: out,
+        force,
     } = arguments;
     let bar = output.progress(run::dataset_samples(&recipe, shard)?, "samples");
     let building = output.share("prepared");
@@ -30,7 +33,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: Some(&|share| show(&building, share)),
         stop: &STOP,
     };
-    let done = run::dataset(&recipe, shard, &out, &control);
+    let done = run::dataset(&recipe, shard, force.folder(&out), &control);
     bar.finish_and_clear();
     let done = done?;
     let all = match &done.index {

@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{ForceArguments, Output, STOP};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::Control;
@@ -15,6 +15,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -28,8 +30,9 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         sensor,
         seed,
         output: folder,
+        force,
     } = &arguments;
-    let summary = study::emva(sensor, *seed, folder, &control);
+    let summary = study::emva(sensor, *seed, force.folder(folder), &control);
     bar.finish_and_clear();
     let summary = summary?;
     let mut text = String::new();

@@ -10,5 +10,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
-    arguments.scan.whole(output, false, run::merge)
+    arguments
+        .scan
+        .whole(output, false, |scene, options, out, control| {
+            run::merge(scene, options, out, control)
+        })
 }

@@ -34,12 +34,12 @@ pub use refused::Noting;
 
 use crate::accel::Backend;
 use crate::error::{Error, Result, printable};
-use crate::run::Coverage;
+use crate::run::{Coverage, OutputFolder};
 use clap::{Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -174,6 +174,23 @@ struct AccelArguments {
     /// What finds the triangles rays meet [default: the scene's plan.accel]
     #[arg(long, value_enum)]
     accel: Option<Backend>,
+}
+
+/// Whether files that no run wrote may be replaced.
+#[derive(clap::Args)]
+struct ForceArguments {
+    /// Write to a folder that holds other files; files of the same names are replaced, but never an input
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceArguments {
+    fn folder<'a>(&self, path: &'a Path) -> OutputFolder<'a> {
+        OutputFolder {
+            path,
+            force: self.force,
+        }
+    }
 }
 
 /// Which samples to trace.

@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{ForceArguments, Output, STOP};
 use crate::run::Control;
 use crate::study;
 
@@ -28,6 +28,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -52,7 +54,11 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         stop: &STOP,
     };
     let Some(image) = &arguments.image else {
-        let chart = study::peak_chart(arguments.seed, &arguments.output, &control);
+        let chart = study::peak_chart(
+            arguments.seed,
+            arguments.force.folder(&arguments.output),
+            &control,
+        );
         bar.finish_and_clear();
         let chart = chart?;
         return output.result(&chart, &chart_text(&chart));
@@ -68,7 +74,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         Color::Green => Channel::Green,
         Color::Blue => Channel::Blue,
     };
-    let summary = study::peaks_of_image(image, along, channel, &arguments.output, &control)?;
+    let summary = study::peaks_of_image(
+        image,
+        along,
+        channel,
+        arguments.force.folder(&arguments.output),
+        &control,
+    )?;
     output.result(&summary, &image_text(&summary))
 }
 

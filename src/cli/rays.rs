@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{ForceArguments, Output, STOP};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::{self, Control};
@@ -17,6 +17,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -27,7 +29,13 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     };
     let Arguments { mesh, rays, .. } = &arguments;
     let unit = arguments.unit.map(Unit::mm);
-    let done = run::cast_rays(mesh, unit, rays, &arguments.output, &control)?;
+    let done = run::cast_rays(
+        mesh,
+        unit,
+        rays,
+        arguments.force.folder(&arguments.output),
+        &control,
+    )?;
     let (rays, hits) = (done.rays, done.hits);
     let text = format!("{hits} of {rays} rays met the mesh\n{}", path(&done.file));
     output.result(&done, &text)

@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments, show};
+use super::{CoverageArguments, ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
 use crate::run::Control;
 
@@ -18,6 +18,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -32,7 +34,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         &scene,
         arguments.frame,
         arguments.coverage.coverage(),
-        &arguments.output,
+        arguments.force.folder(&arguments.output),
         &control,
     )?;
     let text = format!(

@@ -1,4 +1,4 @@
-use super::{CoverageArguments, Output, STOP, SceneArguments, show};
+use super::{CoverageArguments, ForceArguments, Output, STOP, SceneArguments, show};
 use crate::run;
 use crate::run::Control;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -8,10 +8,10 @@ use crate::error::printable::path;
 use crate::inspect::bands::in_words;
 use crate::report::chart::short;
 use crate::report::formats::Format;
-use crate::run::{ScanOptions, ScanSummary, Shard};
+use crate::run::{OutputFolder, ScanOptions, ScanSummary, Shard};
 use crate::scene::Scene;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -49,6 +49,8 @@ pub struct Whole {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 /// The form of the cloud that a file's ending names.
@@ -120,11 +122,13 @@ impl Arguments {
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let Some(shard) = arguments.shard else {
-        return arguments.scan.whole(output, arguments.resume, run::scan);
+        return (arguments.scan).whole(output, arguments.resume, |scene, options, out, control| {
+            run::scan(scene, options, out, control)
+        });
     };
     let scan = &arguments.scan;
     let done = scan.with(output, false, |scene, options, control| {
-        run::scan_shard(scene, options, shard, &scan.output, control)
+        run::scan_shard(scene, options, shard, scan.folder(), control)
     })?;
     let Shard { shard, of } = shard;
     let frames = match done.frames_taken {
@@ -141,6 +145,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 }
 
 impl Whole {
+    fn folder(&self) -> OutputFolder<'_> {
+        self.force.folder(&self.output)
+    }
+
     /// Calls `then` with what the arguments say.
     fn with<T>(
         &self,
@@ -178,10 +186,10 @@ impl Whole {
         &self,
         output: &Output,
         resume: bool,
-        scan: impl FnOnce(&Scene, &ScanOptions, &Path, &Control) -> Result<ScanSummary>,
+        scan: impl FnOnce(&Scene, &ScanOptions, OutputFolder, &Control) -> Result<ScanSummary>,
     ) -> Result<()> {
         let summary = self.with(output, resume, |scene, options, control| {
-            scan(scene, options, &self.output, control)
+            scan(scene, options, self.folder(), control)
         })?;
         let deviation = match &summary.deviation {
             Some(d) => format!(

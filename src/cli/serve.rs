@@ -1,4 +1,5 @@
 use super::{Output, STOP};
+use crate::error::input_file;
 use crate::error::{Error, Result};
 use crate::mesh::memory;
 use crate::service::{self, Limits, Service, Settings};
@@ -87,7 +88,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
     let listening = |address: SocketAddr| {
         let store = crate::error::printable::path(&arguments.store);
         let text = format!("listening on http://{address}, jobs in {store}");
-        let value = serde_json::json!({ "listening": format!("http://{address}"), "store": arguments.store });
+        let value = serde_json::json!({ "listening": format!("http://{address}"), "store": arguments.store.to_string_lossy() });
         output.result(&value, &text)
     };
     service::serve(service, pages, listening, &STOP)
@@ -96,7 +97,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
 /// The token of the file, or of the environment.
 fn token(file: Option<&Path>) -> Result<Option<String>> {
     let text = match file {
-        Some(file) => Some(std::fs::read_to_string(file).map_err(Error::io("read", file))?),
+        Some(file) => {
+            let expected = "a token, as text of at most 65536 bytes";
+            Some(input_file::read_text(file, 1 << 16, expected)?)
+        }
         None => std::env::var(service::TOKEN_VARIABLE).ok(),
     };
     Ok(text.map(|text| text.trim().to_owned()))

@@ -1,4 +1,4 @@
-use super::{Output, STOP};
+use super::{ForceArguments, Output, STOP};
 use crate::run::Control;
 use crate::study;
 
@@ -32,6 +32,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -58,7 +60,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let summary = study::speckle(&spec, &arguments.output, &control)?;
+    let summary = study::speckle(&spec, arguments.force.folder(&arguments.output), &control)?;
     output.result(&summary, &text(&summary))
 }
 

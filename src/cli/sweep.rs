@@ -1,4 +1,4 @@
-use super::{Output, STOP, scan, show};
+use super::{ForceArguments, Output, STOP, scan, show};
 use crate::error::Result;
 use crate::error::printable::path;
 use crate::run::{self, Control, Plot, Shard};
@@ -21,6 +21,8 @@ pub struct Arguments {
     /// Folder to write to; places that are done there are not scanned again
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 fn plot(text: &str) -> std::result::Result<Plot, String> {
@@ -39,6 +41,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         merge,
         plot,
         output: out,
+        force,
     } = arguments;
     let bar = output.progress(run::sweep_places(&sweep, shard)?, "places");
     let building = output.share("prepared");
@@ -48,8 +51,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         stop: &STOP,
     };
     let done = match merge {
-        true => run::sweep_merge(&sweep, &plot, &out, &control),
-        false => run::sweep(&sweep, shard, &plot, &out, &control),
+        true => run::sweep_merge(&sweep, &plot, force.folder(&out), &control),
+        false => run::sweep(&sweep, shard, &plot, force.folder(&out), &control),
     };
     bar.finish_and_clear();
     let done = done?;

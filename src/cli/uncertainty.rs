@@ -1,4 +1,4 @@
-use super::{Output, STOP, SceneArguments};
+use super::{ForceArguments, Output, STOP, SceneArguments};
 use crate::run::Control;
 use crate::scene::Scene;
 use crate::study;
@@ -26,6 +26,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -57,12 +59,12 @@ fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
         building: None,
         stop: &STOP,
     };
-    let study = match arguments.fixed {
-        true => study::repeatability,
-        false => study::monte_carlo,
-    };
     let (frame, seeds) = (arguments.frame, arguments.seeds);
-    let summary = study(scene, frame, seeds, &arguments.output, &control);
+    let out = arguments.force.folder(&arguments.output);
+    let summary = match arguments.fixed {
+        true => study::repeatability(scene, frame, seeds, out, &control),
+        false => study::monte_carlo(scene, frame, seeds, out, &control),
+    };
     bar.finish_and_clear();
     let summary = summary?;
     let [first, second] = summary.headline();
@@ -77,7 +79,7 @@ fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output
         building: None,
         stop: &STOP,
     };
-    let summary = study::sheet(scene, &arguments.output, &control);
+    let summary = study::sheet(scene, arguments.force.folder(&arguments.output), &control);
     bar.finish_and_clear();
     let summary = summary?;
     let [first, second] = summary.headline();

@@ -1,4 +1,4 @@
-use super::{AccelArguments, Output, STOP, say};
+use super::{AccelArguments, ForceArguments, Output, STOP, say};
 use crate::run::Control;
 use crate::study;
 
@@ -36,6 +36,8 @@ pub struct Arguments {
     /// Folder to write to
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArguments,
 }
 
 pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
@@ -62,14 +64,22 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
             }
             let bar = output.progress(study::PATCH_STEPS, "of a thousand parts");
             let progress = |done| bar.set_position(done);
-            let summary = study::wave_patch(&patch, &arguments.output, &control(&progress));
+            let summary = study::wave_patch(
+                &patch,
+                arguments.force.folder(&arguments.output),
+                &control(&progress),
+            );
             bar.finish_and_clear();
             summary
         }
         None => {
             let bar = output.progress(study::reference_motions() as u64, "motions");
             let progress = |done| bar.set_position(done);
-            let summary = study::wave_reference(effort, &arguments.output, &control(&progress));
+            let summary = study::wave_reference(
+                effort,
+                arguments.force.folder(&arguments.output),
+                &control(&progress),
+            );
             bar.finish_and_clear();
             summary
         }

@@ -1,8 +1,9 @@
 //! Text of files and names of files as messages show it: without characters that move
 //! the cursor, start a line or turn the direction of writing, and not without end.
 
+use serde::{Serialize, Serializer};
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Characters of a piece of a message that came from outside.
 const LONGEST_PIECE: usize = 300;
@@ -18,6 +19,25 @@ pub fn short(text: &str) -> String {
 /// A file's name, likewise.
 pub fn path(path: &Path) -> String {
     short(&path.to_string_lossy())
+}
+
+/// Serializes a path as text: bytes that are not UTF-8, which JSON cannot hold, become U+FFFD.
+pub fn in_json<S: Serializer>(path: &impl AsRef<Path>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.as_ref().to_string_lossy())
+}
+
+/// Serializes a path that may be missing, as [`in_json`] does.
+pub fn some_in_json<S: Serializer>(
+    path: &Option<PathBuf>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    let text = path.as_ref().map(|path| path.to_string_lossy());
+    text.serialize(serializer)
+}
+
+/// Serializes a list of paths, as [`in_json`] does.
+pub fn all_in_json<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
 /// A whole message: one line, cut to 2000 characters.

@@ -1,7 +1,7 @@
 //! Whether a mesh fits the machine's memory, asked before it is taken: the system
 //! ends a program that takes too much without a word.
 
-use super::sniff;
+use super::{control_groups, sniff};
 use crate::error::{Error, Result, printable};
 use std::path::Path;
 use sysinfo::{MemoryRefreshKind, RefreshKind, System};
@@ -12,10 +12,11 @@ use sysinfo::{MemoryRefreshKind, RefreshKind, System};
 const LOAD_STL: u64 = 95;
 
 /// Bytes that may still be taken: what the system can free without swapping, within
-/// the limits of the control group and of the process (`ulimit -v`, `ulimit -d`).
+/// the limits of the control groups and of the process (`ulimit -v`, `ulimit -d`).
 /// `None` where the system does not say.
 pub fn available() -> Option<u64> {
-    [of_the_machine(), of_the_process()]
+    let of_the_groups = control_groups::available(Path::new("/"));
+    [of_the_machine(), of_the_process(), of_the_groups]
         .into_iter()
         .flatten()
         .min()
@@ -36,11 +37,7 @@ fn of_the_machine() -> Option<u64> {
     let memory = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
     let system = System::new_with_specifics(memory);
     // 0 is what it says of systems it cannot ask.
-    let free = Some(system.available_memory()).filter(|&bytes| bytes > 0)?;
-    // Pages of files count as used in a group, but make way.
-    let group = system.cgroup_limits();
-    let left = group.map_or(u64::MAX, |g| g.total_memory.saturating_sub(g.rss));
-    Some(free.min(left))
+    Some(system.available_memory()).filter(|&bytes| bytes > 0)
 }
 
 /// Refuses `work` that takes `need` bytes if fewer are `available`.

@@ -9,7 +9,6 @@
 //! are about the surface, not about shading. Nothing is welded by tolerance:
 //! that would hide the cracks the report exists to show.
 
-use std::fs::File;
 use std::io::Read;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -17,11 +16,13 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
+use crate::error::input_file;
 use crate::error::{Error, InputError, Place};
 use crate::math::{Aabb, DVec3};
 use ignored::Collector;
 
 pub mod check;
+mod control_groups;
 mod gltf;
 mod groups;
 mod ignored;
@@ -180,14 +181,7 @@ pub fn read(path: &Path, watch: &Watch) -> Result<Vec<u8>, Error> {
 /// `read` with so many bytes of memory, if that is known.
 fn read_within(path: &Path, available: Option<u64>, watch: &Watch) -> Result<Vec<u8>, Error> {
     const PIECE: usize = 1 << 24;
-    // Before it is opened, for which a pipe would wait.
-    let kind = path.metadata().map_err(Error::io("read", path))?;
-    if !kind.is_file() {
-        // A pipe or a device may never end.
-        let found = "something that is not a regular file";
-        return Err(InputError::new(path, Place::File, found, sniff::EXPECTED).into());
-    }
-    let file = File::open(path).map_err(Error::io("read", path))?;
+    let (file, kind) = input_file::open(path, sniff::EXPECTED)?;
     let mut head = Vec::new();
     let read = (&file).take(84).read_to_end(&mut head);
     read.map_err(Error::io("read", path))?;

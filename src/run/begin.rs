@@ -1,6 +1,7 @@
 //! A first scene of a part under a sensor, in a folder with all the files it needs. The path consists of passes that
 //! bring all of the part into the measuring range.
 
+use super::output_folder::{Names, OutputFolder};
 use super::ready::hierarchy_watched;
 use super::reason::{Reason, Warning};
 use super::sensor_figures::SensorFigures;
@@ -72,6 +73,7 @@ impl Up {
 #[derive(Debug, Clone, Serialize)]
 pub struct Begun {
     /// The scene.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Of its path.
     pub frames: usize,
@@ -93,11 +95,11 @@ pub struct Begun {
 /// # Errors
 /// A part or a sensor that cannot be read; a camera that sees nothing of the laser's light; a file that exists
 /// already.
-pub fn begin(
+pub fn begin<'a>(
     part: &Path,
     sensor: &Path,
     (unit, up): (Option<Unit>, Up),
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<Begun> {
     let copies = Copies::of(part, sensor, control)?;
@@ -132,7 +134,9 @@ pub fn begin(
         Error::Usage("the camera of this sensor sees nothing of the laser's light; `lasertrace check` says more".to_owned())
     })?;
     let path = ScanPasses::over(&scene, &figures);
-    copies.write(out)?;
+    let mut inputs = scene.inputs.to_vec();
+    inputs.extend([part, sensor].map(Path::to_owned));
+    let out = copies.write(out.into(), &inputs)?;
     files::write_bytes(&out.join(PATH), path.csv().as_bytes())?;
     let file = out.join(SCENE);
     let text = format!("{}poses = {}\n", text(SENSOR, &copies.name), quoted(PATH));
@@ -200,27 +204,32 @@ impl Copies {
         })
     }
 
-    /// Errors: one of the folder's files exists already.
-    fn write(&self, out: &Path) -> Result<()> {
-        let needed = self.needed.iter().map(|(name, _)| name.as_path());
-        let names = [SCENE, PATH, SENSOR, &self.name].map(Path::new);
-        for name in names.into_iter().chain(needed) {
-            let file = out.join(name);
-            if file.exists() {
-                return Err(Error::Usage(format!(
-                    "{} is there already: name another folder",
-                    printable::path(&file)
-                )));
-            }
+    /// Writes the copies and returns the folder. Errors: one of the folder's files exists already, unless `out` may
+    /// replace it.
+    fn write<'a>(&self, out: OutputFolder<'a>, inputs: &[PathBuf]) -> Result<&'a Path> {
+        let needed = self.needed.iter().map(|(name, _)| name.to_string_lossy());
+        let names: Vec<String> = [SCENE, PATH, SENSOR, &self.name]
+            .map(str::to_owned)
+            .into_iter()
+            .chain(needed.map(Into::into))
+            .collect();
+        // The user may have changed a file since an earlier run wrote it.
+        let there = names.iter().map(|name| out.path.join(name));
+        if let Some(file) = there.filter(|_| !out.force).find(|file| file.exists()) {
+            return Err(Error::Usage(format!(
+                "{} is there already: name another folder",
+                printable::path(&file)
+            )));
         }
-        files::create_folder(out)?;
+        let out = out.claim(inputs, &Names::of(names))?.path;
         for (name, bytes) in &self.needed {
             let file = out.join(name);
             files::create_folder(file.parent().unwrap_or(out))?;
             files::write_bytes(&file, bytes)?;
         }
         files::write_bytes(&out.join(&self.name), &self.part)?;
-        files::write_bytes(&out.join(SENSOR), &self.sensor)
+        files::write_bytes(&out.join(SENSOR), &self.sensor)?;
+        Ok(out)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::assessment::Assessment;
 use super::files;
 use super::forecast::{Forecast, forecast_of};
+use super::output_folder::{Names, OutputFolder};
 use super::ready;
 use super::reason::Warning;
 use super::sensor_drawing::sensor_drawing;
@@ -16,7 +17,6 @@ use crate::math::{DMat3, DVec3, Rigid};
 use crate::plan::rules::Plan;
 use crate::scene::Scene;
 use serde::Serialize;
-use std::path::Path;
 use std::time::Instant;
 
 /// A scene's plan, what its scan takes, and what will spoil it.
@@ -102,12 +102,13 @@ pub(crate) fn check_ready(
 ///
 /// # Errors
 /// A camera that sees nothing of the laser's light; a file that cannot be written.
-pub fn draw_sensor(checked: &Checked, out: &Path) -> Result<()> {
+pub fn draw_sensor<'a>(checked: &Checked, out: impl Into<OutputFolder<'a>>) -> Result<()> {
     let Some(drawing) = drawing(checked) else {
         let nothing = "the camera sees nothing of the laser's light: there is no sensor to draw";
         return Err(Error::Usage(nothing.to_owned()));
     };
-    files::create_folder(out)?;
+    let names = Names::of(["sensor.svg"]);
+    let out = out.into().claim(&checked.scene.inputs, &names)?.path;
     files::write_bytes(&out.join("sensor.svg"), drawing.as_bytes())
 }
 

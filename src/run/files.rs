@@ -4,23 +4,28 @@ use crate::error::{Error, InputError, Place, Result};
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
 use rustix::fs::OFlags;
 use serde::de::DeserializeOwned;
-use std::fs::{self, File};
+use std::ffi::OsString;
+use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-pub fn create_folder(path: &Path) -> Result<()> {
-    fs::create_dir_all(path).map_err(Error::io("create folder", path))
+/// Largest number of attempts at a system call that signals interrupt.
+const TRIES: usize = 1000;
+
+/// Repeats a system call while a signal interrupts it.
+pub fn again<T>(mut call: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    for _ in 1..TRIES {
+        match call() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            done => return done,
+        }
+    }
+    call()
 }
 
-/// The bytes of a file that ends: a pipe or a device is refused.
-pub fn read_regular(path: &Path, expected: &str) -> Result<Vec<u8>> {
-    let kind = fs::metadata(path).map_err(Error::io("read", path))?;
-    if !kind.is_file() {
-        let found = "something that is not a regular file";
-        return Err(InputError::new(path, Place::File, found, expected).into());
-    }
-    fs::read(path).map_err(Error::io("read", path))
+pub fn create_folder(path: &Path) -> Result<()> {
+    again(|| fs::create_dir_all(path)).map_err(Error::io("create folder", path))
 }
 
 /// What the JSON text of a file says; an error names the line.
@@ -37,9 +42,9 @@ pub fn parse_json<T: DeserializeOwned>(path: &Path, text: &[u8], expected: &str)
 /// A folder in one of ours: a symbolic link in its place is refused, for what is written
 /// through it lands, and what is removed is lost, somewhere else.
 pub fn create_own_folder(path: &Path) -> Result<()> {
-    let made = match fs::create_dir(path) {
+    let made = match again(|| fs::create_dir(path)) {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => check_own_folder(path),
-        other => other,
+        other => other.and_then(|()| sync_folder_of(path)),
     };
     made.map_err(Error::io("create folder", path))
 }
@@ -73,20 +78,117 @@ fn link() -> io::Error {
     )
 }
 
-/// A file that was not there before: through a link laid in its place another would be
-/// overwritten.
-fn create_new(path: &Path) -> io::Result<File> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => File::create_new(path),
+/// Creates a file that is locked while it is open. Removes a file or a link of the same name; a link is not
+/// followed.
+pub fn create_locked(path: &Path) -> io::Result<File> {
+    loop {
+        remove_if_there(path)?;
+        let file = File::create_new(path)?;
+        // Another process may have removed it before it was locked.
+        if lock(&file)? && is_at(&file, path) {
+            return Ok(file);
+        }
     }
+}
+
+/// Locks a file while it is open, and returns whether no other process has locked it. Returns `true` on network
+/// file systems without locks.
+pub fn lock(file: &File) -> io::Result<bool> {
+    match try_lock(file) {
+        Err(error) if error.kind() == io::ErrorKind::Unsupported => Ok(true),
+        locked => locked,
+    }
+}
+
+fn try_lock(file: &File) -> io::Result<bool> {
+    again(|| match file.try_lock() {
+        Ok(()) => Ok(true),
+        Err(TryLockError::WouldBlock) => Ok(false),
+        Err(TryLockError::Error(error)) => Err(error),
+    })
+}
+
+/// Returns whether `path` names this file, and not a file that replaced it.
+pub fn is_at(file: &File, path: &Path) -> bool {
+    let number = |kind: fs::Metadata| (kind.dev(), kind.ino());
+    let at_path = fs::symlink_metadata(path).map(number).ok();
+    at_path.is_some() && at_path == file.metadata().map(number).ok()
+}
+
+/// Removes an unfinished file whose writer has died: a living writer holds its lock. Does nothing if the lock
+/// cannot be tested.
+pub fn remove_if_unlocked(path: &Path) -> Result<()> {
+    let opened = File::options()
+        .read(true)
+        .write(true)
+        .custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32)
+        .open(path);
+    match opened {
+        Ok(file) if try_lock(&file).unwrap_or(false) && is_at(&file, path) => remove(path),
+        _ => Ok(()),
+    }
+}
+
+fn remove_if_there(path: &Path) -> io::Result<()> {
+    match again(|| fs::remove_file(path)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Renames a complete file. After a loss of power, `to` holds either this file or its earlier content.
+pub fn rename(file: &File, from: &Path, to: &Path) -> io::Result<()> {
+    let mut interrupted = false;
+    let renamed = again(|| {
+        let renamed = fs::rename(from, to);
+        interrupted |= matches!(&renamed, Err(e) if e.kind() == io::ErrorKind::Interrupted);
+        renamed
+    });
+    match renamed {
+        // On some file systems an interrupted call may still have taken effect.
+        Err(error) if interrupted && error.kind() == io::ErrorKind::NotFound => {
+            if is_at(file, to) {
+                Ok(())
+            } else {
+                Err(error)
+            }
+        }
+        renamed => renamed,
+    }
+}
+
+/// Waits until the disk holds the names in the folder of `path`.
+pub fn sync_folder_of(path: &Path) -> io::Result<()> {
+    let folder = match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        // Some file systems cannot, and some folders may be written to and not read.
+        Err(error)
+            if matches!(
+                error.kind(),
+                io::ErrorKind::InvalidInput | io::ErrorKind::PermissionDenied
+            ) =>
+        {
+            Ok(())
+        }
+        synced => synced,
+    }
+}
+
+/// Waits until the disk holds all files that were written without waiting ([`write_checked_later`]) to the file
+/// system of `folder`.
+pub fn sync_all(folder: &Path) -> Result<()> {
+    let synced = File::open(folder).and_then(|file| again(|| Ok(rustix::fs::syncfs(&file)?)));
+    synced.map_err(Error::io("write", folder))
 }
 
 /// The end of the name of a file that one run alone writes, before it is whole.
 pub const PART: &str = ".part";
 
 /// The name under which a file is written before it is whole.
-fn unfinished(path: &Path, end: &str) -> PathBuf {
+pub fn unfinished(path: &Path, end: &str) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(end);
     path.with_file_name(name)
@@ -98,27 +200,17 @@ pub fn write(
     path: &Path,
     content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
-    replace(path, PART, |out| {
-        content(out)?;
-        out.flush()?;
-        out.get_ref().sync_data()
+    in_place_of(path, PART, true, |out| {
+        content(out).map_err(Error::io("write", path))
     })
 }
 
 /// The same without waiting for the disk, for files by the thousand whose checksum
-/// is kept elsewhere. `part` ends the name of the file that is not whole: where several runs may write
-/// the same file at once, each needs another.
+/// is kept elsewhere, or that [`sync_all`] waits for. `part` ends the name of the file that is not whole: where
+/// several runs may write the same file at once, each needs another.
 pub fn write_checked_later(path: &Path, bytes: &[u8], part: &str) -> Result<()> {
-    replace(path, part, |out| out.write_all(bytes))
-}
-
-fn replace(
-    path: &Path,
-    part: &str,
-    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Result<()> {
-    in_place_of(path, part, |out| {
-        content(out).map_err(Error::io("write", path))
+    in_place_of(path, part, false, |out| {
+        out.write_all(bytes).map_err(Error::io("write", path))
     })
 }
 
@@ -128,31 +220,34 @@ pub fn write_in_steps<T>(
     part: &str,
     content: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
 ) -> Result<T> {
-    in_place_of(path, part, |out| {
-        let done = content(out)?;
-        let synced = out.flush().and_then(|()| out.get_ref().sync_data());
-        synced.map_err(Error::io("write", path))?;
-        Ok(done)
-    })
+    in_place_of(path, part, true, content)
 }
 
 fn in_place_of<T>(
     path: &Path,
     part: &str,
+    wait: bool,
     content: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
 ) -> Result<T> {
     let failed = || Error::io("write", path);
     let part = unfinished(path, part);
-    let file = create_new(&part).map_err(failed())?;
+    let file = create_locked(&part).map_err(failed())?;
     let mut out = BufWriter::with_capacity(1 << 18, file);
     let written = content(&mut out).and_then(|done| {
-        out.flush().map_err(failed())?;
-        std::fs::rename(&part, path).map_err(failed())?;
+        let finish = |out: &mut BufWriter<File>| {
+            out.flush()?;
+            if wait {
+                out.get_ref().sync_data()?;
+            }
+            rename(out.get_ref(), &part, path)?;
+            if wait { sync_folder_of(path) } else { Ok(()) }
+        };
+        finish(&mut out).map_err(failed())?;
         Ok(done)
     });
     if written.is_err() {
         // Best effort: the first error is the one to report.
-        let _ = fs::remove_file(&part);
+        let _ = remove_if_there(&part);
     }
     written
 }
@@ -192,24 +287,31 @@ pub fn write_exr<'a>(
 
 /// Removes a file of an earlier run, if there is one.
 pub fn remove(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(Error::io("remove", path)(error))
-        }
-        _ => Ok(()),
+    remove_if_there(path).map_err(Error::io("remove", path))
+}
+
+/// Returns the names in a folder, or none if the folder does not exist.
+///
+/// # Errors
+/// The path is a symbolic link.
+pub fn names_in(folder: &Path) -> Result<Vec<OsString>> {
+    let read = || -> io::Result<Vec<OsString>> {
+        check_own_folder(folder)?;
+        again(|| fs::read_dir(folder))?
+            .map(|entry| Ok(entry?.file_name()))
+            .collect()
+    };
+    match read() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
+        names => names.map_err(Error::io("read folder", folder)),
     }
 }
 
 /// Removes the files with such names that an earlier run left in `folder`.
 pub fn remove_all(folder: &Path, is_one: impl Fn(&str) -> bool) -> Result<()> {
-    let entries = match check_own_folder(folder).and_then(|()| fs::read_dir(folder)) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        other => other.map_err(Error::io("read folder", folder))?,
-    };
-    for entry in entries {
-        let entry = entry.map_err(Error::io("read folder", folder))?;
-        if is_one(&entry.file_name().to_string_lossy()) {
-            remove(&entry.path())?;
+    for name in names_in(folder)? {
+        if is_one(&name.to_string_lossy()) {
+            remove(&folder.join(name))?;
         }
     }
     Ok(())
@@ -231,5 +333,50 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         write_bytes(&path, b"whole").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"whole");
+    }
+
+    #[test]
+    fn interrupted_calls_are_made_again_and_not_for_ever() {
+        let interrupted = || io::Error::from(io::ErrorKind::Interrupted);
+        for interruptions in [0, 1, TRIES - 1] {
+            let mut calls = 0;
+            let done = again(|| {
+                calls += 1;
+                if calls > interruptions {
+                    Ok(calls)
+                } else {
+                    Err(interrupted())
+                }
+            });
+            assert_eq!(done.unwrap(), interruptions + 1);
+        }
+        let mut calls = 0;
+        let done = again(|| -> io::Result<()> {
+            calls += 1;
+            Err(interrupted())
+        });
+        assert_eq!(done.unwrap_err().kind(), io::ErrorKind::Interrupted);
+        assert_eq!(calls, TRIES);
+        let other = again(|| -> io::Result<()> { Err(io::ErrorKind::NotFound.into()) });
+        assert_eq!(other.unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn a_file_in_the_making_goes_when_its_writer_has_died() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.part");
+        let file = create_locked(&path).unwrap();
+        remove_if_unlocked(&path).unwrap();
+        assert!(path.exists(), "its writer lives");
+        drop(file);
+        remove_if_unlocked(&path).unwrap();
+        assert!(!path.exists());
+        // None is there, or a link that leads elsewhere.
+        remove_if_unlocked(&path).unwrap();
+        fs::write(folder.path().join("mine"), "mine").unwrap();
+        std::os::unix::fs::symlink("mine", &path).unwrap();
+        remove_if_unlocked(&path).unwrap();
+        drop(create_locked(&path).unwrap());
+        assert_eq!(fs::read(folder.path().join("mine")).unwrap(), b"mine");
     }
 }

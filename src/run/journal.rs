@@ -14,12 +14,14 @@
 //! a run writes; the system drops the lock of a process that dies.
 
 use super::files;
+use crate::error::input_file;
 use crate::error::{Error, Result};
 use crate::inspect::cloud::CloudPoint;
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -84,6 +86,41 @@ pub struct FrameRecord {
     pub points: Vec<CloudPoint>,
 }
 
+impl Record for FrameRecord {
+    /// Returns whether all numbers are finite and all points belong to this frame.
+    fn is_sound(&self) -> bool {
+        self.points.iter().all(|point| {
+            let numbers = [
+                point.deviation,
+                point.sigma,
+                point.repeatability,
+                point.correlation_length,
+                point.deviation_sigma,
+                point.intensity,
+                point.row,
+                point.width,
+                f64::from(point.direct),
+            ];
+            point.frame == self.frame
+                && point.position.is_finite()
+                && point.normal.is_finite()
+                && numbers.iter().all(|number| number.is_finite())
+        })
+    }
+}
+
+/// A record of a journal, which follows the header.
+pub trait Record: Serialize + DeserializeOwned + Sync {
+    /// Returns whether a run may have written the record. Its checksum does not show that.
+    fn is_sound(&self) -> bool;
+
+    /// Decodes a record. Returns `None` if the content is no record, or not a sound one.
+    fn read(content: &[u8]) -> Option<Self> {
+        let record = postcard::from_bytes::<Self>(content).ok();
+        record.filter(Record::is_sound)
+    }
+}
+
 pub struct Journal {
     file: File,
     path: PathBuf,
@@ -94,48 +131,104 @@ pub struct Journal {
 const SYNC: Duration = Duration::from_secs(10);
 
 impl Journal {
-    /// Opens the journal in `out` for one run alone, and with `resume` says how many frames
-    /// are in it; else it starts anew.
+    /// Opens the journal in `out` for one run only. With `resume`, returns how many frames it holds; otherwise
+    /// starts a new journal. `prepare` is called with that number before the journal changes.
     ///
-    /// Errors: another run writes there; with `resume`, frames of another scene,
-    /// seed, range or version.
-    pub fn open(out: &Path, key: &RunKey, resume: bool) -> Result<(Journal, u32)> {
-        let path = out.join("frames.journal");
-        let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(Error::Busy(out.to_owned())),
-            // Some network file systems have no locks.
-            Err(TryLockError::Error(e)) if e.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(e)) => return Err(Error::io("lock", &path)(e)),
-        }
-        let mut journal = Journal {
-            file,
-            path,
-            synced: Instant::now(),
+    /// # Errors
+    /// Another run writes there; with `resume`, the frames belong to another scene, seed, range or version.
+    pub fn open(
+        out: &Path,
+        key: &RunKey,
+        resume: bool,
+        prepare: impl FnOnce(u32) -> Result<()>,
+    ) -> Result<(Journal, u32)> {
+        let mut journal = Journal::locked(out)?;
+        let (kept, end) = match resume {
+            true => journal.check(key)?,
+            false => (0, 0),
         };
-        let (mut kept, mut end) = (0, 0);
-        if resume {
-            (kept, end) = journal.check(key)?;
+        prepare(kept)?;
+        if end == 0 {
+            return Ok((journal.replaced(key, |_| Ok(()))?, 0));
         }
         let cut = |file: &mut File| {
             file.set_len(end)?;
             file.seek(SeekFrom::Start(end)).map(drop)
         };
         cut(&mut journal.file).map_err(Error::io("write", &journal.path))?;
-        if end == 0 {
-            let header = serde_json::to_vec(key).expect("a key is JSON");
-            journal.write(&framed(&header))?;
-        }
         Ok((journal, kept))
+    }
+
+    /// Writes a journal of the records that `fill` appends. It replaces the journal in `out` when it is complete.
+    /// `prepare` is called first.
+    pub fn make(
+        out: &Path,
+        key: &RunKey,
+        prepare: impl FnOnce() -> Result<()>,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<()> {
+        let journal = Journal::locked(out)?;
+        prepare()?;
+        journal.replaced(key, fill).map(drop)
+    }
+
+    /// Opens and locks the journal in `out` without a change.
+    fn locked(out: &Path) -> Result<Journal> {
+        let path = out.join("frames.journal");
+        loop {
+            let file = files::open_own_file(&path).map_err(Error::io("open", &path))?;
+            if !files::lock(&file).map_err(Error::io("lock", &path))? {
+                return Err(Error::Busy(out.to_owned()));
+            }
+            // Another run may have replaced it before it was locked.
+            if files::is_at(&file, &path) {
+                return Ok(Journal {
+                    file,
+                    path,
+                    synced: Instant::now(),
+                });
+            }
+        }
+    }
+
+    /// Replaces this journal by a new one. This one stays locked until then.
+    fn replaced(
+        self,
+        key: &RunKey,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<Journal> {
+        Journal::written(&self.path, files::PART, key, fill)
+    }
+
+    /// Writes a journal under a name that ends in `part`, and renames it when `fill` returns. Leaves nothing on an
+    /// error.
+    pub fn written(
+        path: &Path,
+        part: &str,
+        header: &impl Serialize,
+        fill: impl FnOnce(&mut Journal) -> Result<()>,
+    ) -> Result<Journal> {
+        let part = files::unfinished(path, part);
+        let written = Journal::begin(&part, header).and_then(|mut journal| {
+            journal.path = path.to_owned();
+            fill(&mut journal)?;
+            journal.sync()?;
+            files::rename(&journal.file, &part, path)
+                .and_then(|()| files::sync_folder_of(path))
+                .map_err(Error::io("write", path))?;
+            Ok(journal)
+        });
+        if written.is_err() {
+            // Best effort: the first error is the one to report.
+            let _ = files::remove(&part);
+        }
+        written
     }
 
     /// A new journal at `path`, whatever was there.
     pub fn begin(path: &Path, header: &impl Serialize) -> Result<Journal> {
-        let file = files::open_own_file(path).map_err(Error::io("open", path))?;
-        file.set_len(0).map_err(Error::io("write", path))?;
         let mut journal = Journal {
-            file,
+            file: files::create_locked(path).map_err(Error::io("write", path))?,
             path: path.to_owned(),
             synced: Instant::now(),
         };
@@ -161,8 +254,8 @@ impl Journal {
         let (mut kept, mut end) = (0, reader.at);
         while let Some(content) = reader.next().map_err(failed())? {
             let expected = u64::from(key.frames.start) + u64::from(kept);
-            match postcard::from_bytes::<FrameRecord>(&content) {
-                Ok(record)
+            match FrameRecord::read(&content) {
+                Some(record)
                     if u64::from(record.frame) == expected && record.frame < key.frames.end =>
                 {
                     kept += 1;
@@ -181,7 +274,7 @@ impl Journal {
     }
 
     /// Adds the next records.
-    pub fn append(&mut self, records: &[impl Serialize + Sync]) -> Result<()> {
+    pub fn append(&mut self, records: &[impl Record]) -> Result<()> {
         let content = |record| postcard::to_allocvec(record).expect("a record has a length");
         let records = records.par_iter().map(|record| framed(&content(record)));
         for bytes in records.collect::<Vec<_>>() {
@@ -213,8 +306,8 @@ impl Journal {
         let mut reader = self.reader().map_err(failed())?;
         reader.next().map_err(failed())?;
         while let Some(content) = reader.next().map_err(failed())? {
-            let record = postcard::from_bytes::<FrameRecord>(&content).map_err(io::Error::other);
-            then(record.map_err(failed())?)?;
+            let wrong = || failed()(io::Error::other("a record that no run wrote"));
+            then(FrameRecord::read(&content).ok_or_else(wrong)?)?;
         }
         // What is added comes at the end.
         let end = self.file.seek(SeekFrom::End(0));
@@ -237,27 +330,23 @@ pub struct Records {
 
 impl Records {
     pub fn open(path: &Path) -> Result<Records> {
-        let open = || -> io::Result<_> {
-            let file = File::open(path)?;
-            let length = file.metadata()?.len();
-            Reader::new(file, length)
-        };
+        let (file, kind) = input_file::open(path, "a journal of finished frames")?;
         Ok(Records {
-            reader: open().map_err(Error::io("open", path))?,
+            reader: Reader::new(file, kind.len()).map_err(Error::io("read", path))?,
             path: path.to_owned(),
         })
     }
 
     /// The first record; `None` where it is none.
-    pub fn header<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
+    pub fn header<T: DeserializeOwned>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
         Ok(content.and_then(|content| serde_json::from_slice(&content).ok()))
     }
 
     /// The next record; `None` where the file ends or is damaged.
-    pub fn next<T: serde::de::DeserializeOwned>(&mut self) -> Result<Option<T>> {
+    pub fn next<T: Record>(&mut self) -> Result<Option<T>> {
         let content = self.content()?;
-        Ok(content.and_then(|content| postcard::from_bytes(&content).ok()))
+        Ok(content.and_then(|content| T::read(&content)))
     }
 
     fn content(&mut self) -> Result<Option<Vec<u8>>> {
@@ -366,7 +455,7 @@ mod tests {
 
     /// A journal of frames 3, 4 and 5, and its bytes.
     fn written(out: &Path) -> Vec<u8> {
-        let (mut journal, kept) = Journal::open(out, &key(), false).unwrap();
+        let (mut journal, kept) = Journal::open(out, &key(), false, |_| Ok(())).unwrap();
         assert_eq!(kept, 0);
         journal.append(&[record(3), record(4)]).unwrap();
         journal.append(&[record(5)]).unwrap();
@@ -377,7 +466,7 @@ mod tests {
     fn what_was_written_is_read_to_the_bit_and_continued() {
         let folder = tempfile::tempdir().unwrap();
         written(folder.path());
-        let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+        let (mut journal, kept) = Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
         assert_eq!(kept, 3);
         assert_eq!(records(&mut journal), [3, 4, 5].map(record));
         journal.append(&[record(6)]).unwrap();
@@ -392,7 +481,8 @@ mod tests {
         let whole = written(folder.path());
         let open = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
-            let (mut journal, kept) = Journal::open(folder.path(), &key(), true).unwrap();
+            let (mut journal, kept) =
+                Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
             assert!(kept < 3 || bytes.starts_with(&whole));
             assert!(
                 records(&mut journal)
@@ -419,6 +509,72 @@ mod tests {
         assert_eq!(open(&[&whole[..], b"more"].concat()), 3);
     }
 
+    /// With a checksum that is right, numbers that no run writes.
+    #[test]
+    fn records_of_numbers_that_are_not_finite_are_not_kept() {
+        let changes: [fn(&mut CloudPoint, f64); 13] = [
+            |point, x| point.position.x = x,
+            |point, x| point.position.y = x,
+            |point, x| point.position.z = x,
+            |point, x| point.deviation = x,
+            |point, x| point.sigma = x,
+            |point, x| point.repeatability = x,
+            |point, x| point.correlation_length = x,
+            |point, x| point.deviation_sigma = x,
+            |point, x| point.intensity = x,
+            |point, x| point.row = x,
+            |point, x| point.width = x,
+            |point, x| point.normal.y = x as f32,
+            |point, x| point.direct = x as f32,
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        for (i, change) in changes.iter().enumerate() {
+            for x in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+                let mut forged = record(4);
+                change(&mut forged.points[i % 4], x);
+                let fill = |journal: &mut Journal| journal.append(&[record(3), forged, record(5)]);
+                Journal::make(folder.path(), &key(), || Ok(()), fill).unwrap();
+                let opened = Journal::open(folder.path(), &key(), true, |_| Ok(()));
+                assert_eq!(opened.unwrap().1, 1, "{i} {x}");
+            }
+        }
+        let mut forged = record(4);
+        forged.points[2].frame = 7;
+        assert!(!forged.is_sound() && record(4).is_sound());
+    }
+
+    /// Until the new one is whole, the old journal stays as it is; nothing is left of one that fails.
+    #[test]
+    fn a_journal_is_replaced_by_a_whole_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = written(folder.path());
+        let names = || files::names_in(folder.path()).unwrap();
+        let made = Journal::make(
+            folder.path(),
+            &key(),
+            || Ok(()),
+            |journal| {
+                journal.append(&[record(3)])?;
+                assert_eq!(
+                    fs::read(folder.path().join("frames.journal")).unwrap(),
+                    whole
+                );
+                Err(Error::Interrupted)
+            },
+        );
+        assert!(matches!(made, Err(Error::Interrupted)));
+        assert_eq!(names(), ["frames.journal"]);
+        assert_eq!(
+            fs::read(folder.path().join("frames.journal")).unwrap(),
+            whole
+        );
+        let fill = |journal: &mut Journal| journal.append(&[record(3)]);
+        Journal::make(folder.path(), &key(), || Ok(()), fill).unwrap();
+        let (mut journal, kept) = Journal::open(folder.path(), &key(), true, |_| Ok(())).unwrap();
+        assert_eq!((kept, records(&mut journal)), (1, vec![record(3)]));
+        assert_eq!(names(), ["frames.journal"]);
+    }
+
     #[test]
     fn a_journal_of_another_run_is_refused_and_says_why() {
         let folder = tempfile::tempdir().unwrap();
@@ -426,7 +582,9 @@ mod tests {
         let other = |change: fn(&mut RunKey)| {
             let mut key = key();
             change(&mut key);
-            let error = Journal::open(folder.path(), &key, true).err().unwrap();
+            let error = Journal::open(folder.path(), &key, true, |_| Ok(()))
+                .err()
+                .unwrap();
             assert_eq!(error.exit_code(), 64);
             error.to_string()
         };
@@ -455,13 +613,15 @@ mod tests {
     #[test]
     fn a_second_run_is_refused_until_the_first_is_over() {
         let folder = tempfile::tempdir().unwrap();
-        let first = Journal::open(folder.path(), &key(), false).unwrap();
+        let first = Journal::open(folder.path(), &key(), false, |_| Ok(())).unwrap();
         for resume in [false, true] {
-            let error = Journal::open(folder.path(), &key(), resume).err().unwrap();
+            let error = Journal::open(folder.path(), &key(), resume, |_| Ok(()))
+                .err()
+                .unwrap();
             assert_eq!(error.exit_code(), 75);
             assert!(error.to_string().contains("another run"), "{error}");
         }
         drop(first);
-        assert!(Journal::open(folder.path(), &key(), true).is_ok());
+        assert!(Journal::open(folder.path(), &key(), true, |_| Ok(())).is_ok());
     }
 }

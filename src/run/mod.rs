@@ -22,6 +22,7 @@ mod lit_normal;
 pub(crate) mod measure;
 pub(crate) mod methods;
 mod need;
+pub(crate) mod output_folder;
 mod passes;
 pub(crate) mod pilot;
 pub(crate) mod planner;
@@ -60,6 +61,7 @@ pub(crate) use control::{check_frame, check_frames};
 pub use dataset::{DatasetSummary, dataset, dataset_samples};
 pub use forecast::Forecast;
 pub use height_errors::HeightErrors;
+pub use output_folder::OutputFolder;
 #[cfg(feature = "service")]
 pub use rays::{RaysSummary, cast_rays};
 pub use ready::scene_plan;

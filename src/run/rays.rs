@@ -1,8 +1,10 @@
 //! What rays of a file meet on a mesh.
 
+use super::output_folder::{Names, OutputFolder};
 use super::{Control, files, need};
 use crate::accel::{Accel, Backend, Ray, SurfacePoint};
 use crate::error::{Error, InputError, Place, Result};
+use crate::error::{input_file, printable};
 use crate::math::DVec3;
 use crate::mesh::Mesh;
 use serde::{Deserialize, Serialize};
@@ -33,6 +35,7 @@ pub struct RaysSummary {
     /// What found the triangles that rays met.
     pub accel: String,
     /// The answers, in the order of the rays.
+    #[serde(serialize_with = "printable::in_json")]
     pub file: PathBuf,
 }
 
@@ -52,20 +55,22 @@ struct HitEntry {
 ///
 /// # Errors
 /// A file that cannot be read or is wrong; rays that are none; what would not fit memory.
-pub fn cast_rays(
+pub fn cast_rays<'a>(
     mesh: &Path,
     unit_mm: Option<f64>,
     rays: &Path,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<RaysSummary> {
-    let size = rays.metadata().map_err(Error::io("read", rays))?.len();
-    let count = size / SHORTEST;
-    need::require_rays(count, RAY)?;
-    let bytes = std::fs::read(rays).map_err(Error::io("read", rays))?;
     let expected = "{\"rays\": [[x, y, z, dx, dy, dz], …]}, numbers in mm";
+    let (_, kind) = input_file::open(rays, expected)?;
+    let count = kind.len() / SHORTEST;
+    need::require_rays(count, RAY)?;
+    let bytes = input_file::read(rays, kind.len(), expected)?;
     let file: RaysFile = files::parse_json(rays, &bytes, expected)?;
     drop(bytes);
+    let inputs = [mesh.to_owned(), rays.to_owned()];
+    let out = out.into().claim(&inputs, &Names::of(["hits.json"]))?.path;
     let mesh: Mesh = crate::mesh::load(mesh, unit_mm)?;
     control.check()?;
     let triangles = mesh.triangles.len();
@@ -92,7 +97,6 @@ pub fn cast_rays(
             other => other,
         })?;
     (control.progress)(hits.len() as u64);
-    files::create_folder(out)?;
     let path = out.join("hits.json");
     files::write(&path, |file| {
         file.write_all(b"{\"hits\":[")?;

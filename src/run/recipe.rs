@@ -1,9 +1,11 @@
 //! What data sets and sweeps have in common: a file that names a scene and which of its values differ, set by
 //! dotted key or drawn.
 
+use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
 use crate::math::rng::{Key, Purpose};
 use crate::scene::set_value;
+use crate::scene::{FileKind, backslash_hint, file_kind};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -43,16 +45,34 @@ pub struct Written {
 impl Written {
     /// Reads a file of TOML. Errors: it cannot be read; it is not what is `expected`.
     pub fn read<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<(Written, T)> {
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let text = input_file::read_text(path, LARGEST_TEXT, expected)?;
         let path = path.to_owned();
         let written = Written { path, text };
         match toml::from_str(&written.text) {
             Ok(file) => Ok((written, file)),
-            Err(error) => {
-                let at = error.span().map(|span| span.start);
-                let found = error.message().replace('\n', "; ");
-                Err(written.wrong(at, None, &found, expected))
+            Err(error) => Err(written.explain(&error, expected)),
+        }
+    }
+
+    /// Explains an error of the TOML reader.
+    fn explain(&self, error: &toml::de::Error, expected: &str) -> Error {
+        let table = self.text.parse::<toml::Table>().ok();
+        let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));
+        let kind = file_kind(has);
+        if let Some(kind @ (FileKind::Scene | FileKind::Sensor)) = kind {
+            return self.wrong(None, None, kind.name(), expected);
+        }
+        let at = error.span().map(|span| span.start);
+        let found = error.message().replace('\n', "; ");
+        let before = self.text.get(..at.unwrap_or(0)).unwrap_or_default();
+        let start = before.rfind('\n').map_or(0, |n| n + 1);
+        let line = self.text[start..].lines().next().unwrap_or_default();
+        match (self.wrong(at, None, &found, expected), table) {
+            (Error::Input(mut mistake), None) => {
+                mistake.hint = backslash_hint(line).map(str::to_owned);
+                Error::Input(mistake)
             }
+            (error, _) => error,
         }
     }
 

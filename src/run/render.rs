@@ -1,13 +1,14 @@
 //! One frame with its truth, for looking at and for learning from.
 
+use super::output_folder::{Names, OutputFolder};
 use super::ready;
 use super::{Control, Coverage, files, need};
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::report::picture::encode_counts;
 use crate::scene::Scene;
 use exr::prelude::FlatSamples;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// What a rendered frame is, and where it was written.
 #[derive(Debug, Serialize)]
@@ -17,8 +18,10 @@ pub struct RenderSummary {
     /// What found the triangles rays met.
     pub accel: String,
     /// The counts, 16 bits.
+    #[serde(serialize_with = "printable::in_json")]
     pub png: PathBuf,
     /// Irradiance and truth layers.
+    #[serde(serialize_with = "printable::in_json")]
     pub exr: PathBuf,
     /// Highest count of the frame.
     pub max_count: u16,
@@ -28,16 +31,18 @@ pub struct RenderSummary {
 
 /// Writes `frame-KKKKKK.png` (16-bit counts) and `.exr` (irradiance in mW/mm² and
 /// the truth layers) to `out`.
-pub fn render(
+pub fn render<'a>(
     scene: &Scene,
     frame: u32,
     coverage: Coverage,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<RenderSummary> {
     super::check_frame(scene, frame)?;
     need::require_render(scene)?;
-    files::create_folder(out)?;
+    let image = format!("frame-{frame:06}");
+    let names = Names::of(["png", "exr"].map(|end| format!("{image}.{end}")));
+    let out = out.into().claim(&scene.inputs, &names)?.path;
     let simulation = ready::simulation(scene, coverage, control)?;
     control.check()?;
     let irradiance = simulation.irradiance(frame);
@@ -46,7 +51,7 @@ pub fn render(
     let truth = simulation.truth(frame);
     control.check()?;
     let resolution = scene.camera.sensor.resolution;
-    let png = out.join(format!("frame-{frame:06}.png"));
+    let png = out.join(format!("{image}.png"));
     let exr_path = png.with_extension("exr");
     files::write_bytes(
         &png,

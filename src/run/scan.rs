@@ -3,6 +3,7 @@
 
 use super::frames::{FrameContent, Run};
 use super::journal::{Journal, RunKey};
+use super::output_folder::{Claimed, Names, OutputFolder, remove_unfinished};
 use super::ready;
 use super::report::Shown;
 use super::shards::{self, Shard};
@@ -10,7 +11,7 @@ use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::warnings::{self, Foreseen};
 use super::{Control, Coverage, files, forecast, need};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::inspect::align::{Alignment, best_fit};
 use crate::inspect::bands::sum_up;
 use crate::inspect::cloud::CloudPoint;
@@ -35,6 +36,7 @@ use std::time::{Duration, Instant, SystemTime};
 #[derive(Serialize)]
 struct Manifest<'a> {
     program: &'static str,
+    #[serde(serialize_with = "printable::in_json")]
     scene: &'a Path,
     #[serde(flatten)]
     key: &'a RunKey,
@@ -72,15 +74,16 @@ pub struct ScanOptions {
 
 /// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`,
 /// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
-/// the scene asks for them. What an earlier run left there under these names goes
-/// first, but with `resume` the frames whose record and image are whole.
+/// the scene asks for them. Files that an earlier run wrote under these names are removed
+/// first, but with `resume` not the frames whose record and image are complete. Other files
+/// are not touched ([`OutputFolder`]).
 ///
 /// While frames are taken, memory does not grow with their number; for the report
 /// all points are read back, some 100 bytes each.
-pub fn scan(
+pub fn scan<'a>(
     scene: &Scene,
     options: &ScanOptions,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<ScanSummary> {
     let start = Instant::now();
@@ -91,9 +94,12 @@ pub fn scan(
     if !forecast::any_report_fits(scene, frames.len() as u64) {
         forecast::require_points(&simulation_of(scene, options, control)?, &frames, control)?;
     }
-    files::create_folder(out)?;
-    let (mut journal, kept) = Journal::open(out, &key, options.resume)?;
-    clear(scene, out, kept == 0)?;
+    let folder = out
+        .into()
+        .claim(&scene.inputs, &names(scene, options, &frames))?;
+    let out = folder.path;
+    let prepare = |kept| clear(scene, &folder, kept == 0);
+    let (mut journal, kept) = Journal::open(out, &key, options.resume, prepare)?;
     let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
     let prepared = Instant::now();
 
@@ -117,6 +123,9 @@ pub fn scan(
         run_table(&key, prepared - start, measured - prepared, kept),
     )?;
     journal.sync()?;
+    if scene.write_frames {
+        files::sync_all(out)?;
+    }
     control.check()?;
     let manifest = Manifest {
         program: env!("CARGO_PKG_NAME"),
@@ -170,18 +179,20 @@ pub struct ShardSummary {
 /// Takes the frames I, I + N, … of a scan for shard I of N, into a folder that all shards share; they
 /// may run at once and on several machines, and one may run twice. [`merge`] makes of them what [`scan`] gives.
 /// A shard that is stopped starts anew; memory does not grow with the number of frames.
-pub fn scan_shard(
+pub fn scan_shard<'a>(
     scene: &Scene,
     options: &ScanOptions,
     shard: Shard,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<ShardSummary> {
     let key = key(scene, options)?;
     let strict = strict_simulation(scene, options, &key.frames, control)?;
     let simulation = strict.map_or_else(|| simulation_of(scene, options, control), Ok)?;
-    files::create_folder(out)?;
-    files::remove(&out.join("manifest.json"))?;
+    let names = shard_names(scene, shard.of, &key.frames);
+    let folder = out.into().claim(&scene.inputs, &names)?;
+    let out = folder.path;
+    folder.remove("manifest.json")?;
     if scene.write_frames {
         files::create_own_folder(&out.join("frames"))?;
     }
@@ -206,20 +217,25 @@ pub fn scan_shard(
 ///
 /// # Errors
 /// As [`scan`]; and `Error::Input` that names the shards that are missing or damaged.
-pub fn merge(
+pub fn merge<'a>(
     scene: &Scene,
     options: &ScanOptions,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<ScanSummary> {
-    shards::merge(out, &key(scene, options)?)?;
+    let (key, out) = (key(scene, options)?, out.into());
+    let whole = shards::all_whole(out.path, &key)?;
+    let of = whole.len() as u32;
+    let names = names(scene, options, &key.frames);
+    let folder = out.claim(&scene.inputs, &names)?;
+    shards::merge(out.path, &key, whole, || folder.remove("manifest.json"))?;
     let options = ScanOptions {
         resume: true,
         ..options.clone()
     };
     let summary = scan(scene, &options, out, control)?;
-    // What killed runs left.
-    files::remove_all(&out.join("frames"), |name| name.ends_with(files::PART))?;
+    // Unfinished files of killed runs.
+    remove_unfinished(out.path, &shard_names(scene, of, &key.frames))?;
     Ok(summary)
 }
 
@@ -250,29 +266,54 @@ fn strict_simulation(
     Ok(Some(simulation))
 }
 
+/// Files that every scan writes. The manifest is removed first: without it a run is not complete.
+const FILES: [&str; 7] = [
+    "manifest.json",
+    "summary.json",
+    "report.html",
+    "cloud.ply",
+    PROFILES,
+    "frame.png",
+    "cloud.png",
+];
+
+/// All files that a scan writes.
+fn names(scene: &Scene, options: &ScanOptions, frames: &Range<u32>) -> Names {
+    let also = options.also.iter().copied().map(Format::file_name);
+    let files = FILES.into_iter().chain(["frames.journal"]).chain(also);
+    with_images(Names::of(files), scene, frames)
+}
+
+/// All files that the shards of a scan write.
+fn shard_names(scene: &Scene, of: u32, frames: &Range<u32>) -> Names {
+    let after = format!("-of-{of}.journal");
+    let journals = Names::default().and("shards/shard-", 1, &after, 0..of.into());
+    with_images(journals, scene, frames)
+}
+
+fn with_images(names: Names, scene: &Scene, frames: &Range<u32>) -> Names {
+    match scene.write_frames {
+        true => names.and(
+            "frames/frame-",
+            6,
+            ".png",
+            frames.start.into()..frames.end.into(),
+        ),
+        false => names,
+    }
+}
+
 /// Makes the folder for frames, free of an earlier run's files if this
-/// one starts `anew`. The manifest goes first: from here on the run is not complete.
-fn clear(scene: &Scene, out: &Path, anew: bool) -> Result<()> {
-    let frames = out.join("frames");
-    for name in [
-        "manifest.json",
-        "summary.json",
-        "report.html",
-        "cloud.ply",
-        PROFILES,
-        "frame.png",
-        "cloud.png",
-    ]
-    .into_iter()
-    .chain(Format::ALL.map(Format::file_name))
-    {
-        files::remove(&out.join(name))?;
+/// one starts `anew`.
+fn clear(scene: &Scene, folder: &Claimed, anew: bool) -> Result<()> {
+    for name in FILES.into_iter().chain(Format::ALL.map(Format::file_name)) {
+        folder.remove(name)?;
     }
     if anew {
-        files::remove_all(&frames, |name| name.starts_with("frame-"))?;
+        folder.remove_in("frames")?;
     }
     if scene.write_frames {
-        files::create_own_folder(&frames)?;
+        files::create_own_folder(&folder.path.join("frames"))?;
     }
     Ok(())
 }

@@ -10,6 +10,7 @@ use super::frames::Run;
 use super::journal::{FrameRecord, Journal, Records, RunKey};
 use crate::error::{Error, InputError, Place, Result};
 use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{BuildHasher, RandomState};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -57,8 +58,23 @@ impl Shard {
     }
 
     fn journal(self, out: &Path) -> PathBuf {
+        folder(out).join(self.name())
+    }
+
+    fn name(self) -> String {
         let Shard { shard, of } = self;
-        folder(out).join(format!("shard-{shard}-of-{of}.journal"))
+        format!("shard-{shard}-of-{of}.journal")
+    }
+
+    /// Whose journal has this name.
+    fn of_journal(name: &str) -> Option<Shard> {
+        let numbers = name.strip_prefix("shard-")?.strip_suffix(".journal")?;
+        let (shard, of) = numbers.split_once("-of-")?;
+        let shard = Shard {
+            shard: shard.parse().ok()?,
+            of: of.parse().ok()?,
+        };
+        (shard.shard < shard.of && shard.name() == name).then_some(shard)
     }
 
     /// Its whole journal, checked to the end; `None` where there is none, or a damaged one.
@@ -102,113 +118,125 @@ pub fn take(run: &Run, shard: Shard, key: &RunKey) -> Result<u32> {
         return Ok(0);
     }
     files::create_own_folder(&folder(run.out))?;
-    let path = shard.journal(run.out);
-    let mut part = path.clone().into_os_string();
-    part.push(unfinished());
-    let part = PathBuf::from(part);
-    let run_key = key.clone();
-    let written = Journal::begin(
-        &part,
-        &ShardKey {
-            shard,
-            run: run_key,
-        },
-    )
-    .and_then(|mut journal| {
-        run.frames(shard.frames(&key.frames), &mut journal)?;
-        journal.sync()
-    });
-    let renamed =
-        written.and_then(|()| std::fs::rename(&part, &path).map_err(Error::io("write", &path)));
-    if renamed.is_err() {
-        // Best effort: the first error is the one to report.
-        let _ = std::fs::remove_file(&part);
-    }
-    renamed?;
+    let header = ShardKey {
+        shard,
+        run: key.clone(),
+    };
+    Journal::written(&shard.journal(run.out), &unfinished(), &header, |journal| {
+        run.frames(shard.frames(&key.frames), journal)?;
+        // Its images are to be there when it says so.
+        match run.simulation.scene.write_frames {
+            true => files::sync_all(run.out),
+            false => Ok(()),
+        }
+    })?;
     Ok(shard.frames(&key.frames).count() as u32)
+}
+
+/// The journals of all shards in a folder, each checked to its end.
+///
+/// # Errors
+/// `Error::Input` with what is missing or damaged, as an array of jobs has it; `Error::OtherRun`.
+pub fn all_whole(out: &Path, key: &RunKey) -> Result<Vec<(Shard, PathBuf)>> {
+    let (of, there) = shards_in(out)?;
+    let mut whole = Vec::new();
+    for shard in there {
+        let shard = Shard { shard, of };
+        whole.extend(shard.whole(out, key)?.map(|path| (shard, path)));
+    }
+    let missing = without(of, whole.iter().map(|(shard, _)| shard.shard));
+    if missing.is_empty() {
+        return Ok(whole);
+    }
+    let count: u64 = missing
+        .iter()
+        .map(|range| u64::from(range.end - range.start))
+        .sum();
+    let found = format!("{count} of {of} shards missing or damaged");
+    let expected = format!("all of them; run these again: --array={}", ranges(missing));
+    Err(InputError::new(&folder(out), Place::File, found, expected).into())
 }
 
 /// Makes the journal of the undivided scan in `out` from its shards', so that the scan can go on as if it had
 /// taken all frames itself. Records are read as they are written: memory does not grow with their number.
-///
-/// # Errors
-/// `Error::Input` with what is missing or damaged, as an array of jobs has it; `Error::OtherRun`.
-pub fn merge(out: &Path, key: &RunKey) -> Result<()> {
-    let of = shards_in(out)?;
-    let shards = (0..of).map(|shard| Shard { shard, of });
-    let (mut whole, mut missing) = (Vec::new(), Vec::new());
-    for shard in shards {
-        match shard.whole(out, key)? {
-            Some(path) => whole.push((shard, path)),
-            None => missing.push(shard.shard),
-        }
-    }
-    if !missing.is_empty() {
-        let found = format!("{} of {of} shards missing or damaged", missing.len());
-        let expected = format!("all of them; run these again: --array={}", ranges(&missing));
-        return Err(InputError::new(&folder(out), Place::File, found, expected).into());
-    }
+/// `prepare` is called before the journal changes.
+pub fn merge(
+    out: &Path,
+    key: &RunKey,
+    whole: Vec<(Shard, PathBuf)>,
+    prepare: impl FnOnce() -> Result<()>,
+) -> Result<()> {
     allow_open_files();
+    let of = whole.len() as u32;
     let mut readers = Vec::new();
     for (shard, path) in whole {
         let changed = || Error::io("read", &path)(std::io::Error::other("it has changed"));
         readers.push((shard.open(&path, key)?.ok_or_else(changed)?, path));
     }
-    let (mut journal, _) = Journal::open(out, key, false)?;
-    for frame in key.frames.clone() {
-        let reader = ((frame - key.frames.start) % of) as usize;
-        let (records, path) = &mut readers[reader];
-        let changed = || Error::io("read", path)(std::io::Error::other("it has changed"));
-        let record: FrameRecord = records.next()?.ok_or_else(changed)?;
-        journal.append(&[record])?;
-    }
-    journal.sync()
+    Journal::make(out, key, prepare, |journal| {
+        for frame in key.frames.clone() {
+            let reader = ((frame - key.frames.start) % of) as usize;
+            let (records, path) = &mut readers[reader];
+            let changed = || Error::io("read", path)(std::io::Error::other("it has changed"));
+            let record: FrameRecord = records.next()?.ok_or_else(changed)?;
+            journal.append(&[record])?;
+        }
+        Ok(())
+    })
 }
 
-/// How many shards the journals in a folder say there are.
-fn shards_in(out: &Path) -> Result<u32> {
+/// How many shards the journals in a folder say there are, and which have a journal, in rising order.
+fn shards_in(out: &Path) -> Result<(u32, BTreeSet<u32>)> {
     let folder = folder(out);
     let wrong = |found: String, expected: &str| {
         Err(InputError::new(&folder, Place::File, found, expected).into())
     };
-    let mut of: Vec<u32> = Vec::new();
-    let entries = match std::fs::read_dir(&folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
-        entries => Some(entries.map_err(Error::io("read folder", &folder))?),
-    };
-    for entry in entries.into_iter().flatten() {
-        let entry = entry.map_err(Error::io("read folder", &folder))?;
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let number = name
-            .strip_suffix(".journal")
-            .and_then(|name| name.rsplit('-').next());
-        of.extend(number.and_then(|number| number.parse::<u32>().ok()));
+    let mut by_division: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    for name in files::names_in(&folder)? {
+        if let Some(Shard { shard, of }) = name.to_str().and_then(Shard::of_journal) {
+            by_division.entry(of).or_default().insert(shard);
+        }
     }
-    of.sort_unstable();
-    of.dedup();
-    match of[..] {
-        [of] if of > 0 => Ok(of),
-        [] => wrong(
+    if by_division.len() > 1 {
+        let all: Vec<String> = by_division.keys().map(u32::to_string).collect();
+        let found = format!("shards of {}", all.join(" and of "));
+        return wrong(found, "shards of one division; remove the others' journals");
+    }
+    match by_division.pop_first() {
+        Some(division) => Ok(division),
+        None => wrong(
             "no finished shard".to_owned(),
             "journals of shards (scan --shard I/N with this folder)",
         ),
-        _ => {
-            let all: Vec<String> = of.iter().map(u32::to_string).collect();
-            let found = format!("shards of {}", all.join(" and of "));
-            wrong(found, "shards of one division; remove the others' journals")
-        }
     }
 }
 
-/// Numbers as `1,3-5`.
-pub fn ranges(numbers: &[u32]) -> String {
-    let runs = numbers.chunk_by(|a, b| a + 1 == *b);
-    let words = runs.map(|run| match run {
-        [one] => one.to_string(),
-        [first, .., last] => format!("{first}-{last}"),
-        [] => String::new(),
+/// The numbers below `of` that are not among these, which rise.
+fn without(of: u32, these: impl Iterator<Item = u32>) -> Vec<Range<u32>> {
+    let mut next = 0;
+    let mut gaps = Vec::new();
+    for one in these.chain([of]) {
+        if next < one {
+            gaps.push(next..one);
+        }
+        next = one.saturating_add(1);
+    }
+    gaps
+}
+
+/// Numbers as `1,3-5`, given as ranges.
+pub fn ranges(numbers: impl IntoIterator<Item = Range<u32>>) -> String {
+    let words = numbers.into_iter().map(|run| match run.len() {
+        1 => run.start.to_string(),
+        _ => format!("{}-{}", run.start, run.end - 1),
     });
     words.collect::<Vec<_>>().join(",")
+}
+
+/// Rising numbers as ranges.
+pub fn runs(numbers: &[u32]) -> impl Iterator<Item = Range<u32>> {
+    let runs = numbers.chunk_by(|a, b| a + 1 == *b);
+    runs.map(|run| run[0]..run[0] + run.len() as u32)
 }
 
 /// As many files at once as the system lets this process have: there may be a thousand shards.
@@ -243,6 +271,15 @@ mod tests {
 
     #[test]
     fn missing_shards_are_named_as_arrays_have_them() {
-        assert_eq!(ranges(&[0, 1, 2, 4, 7, 8]), "0-2,4,7-8");
+        assert_eq!(ranges(runs(&[0, 1, 2, 4, 7, 8])), "0-2,4,7-8");
+        for (of, there, missing) in [
+            (9, &[3, 5, 6][..], "0-2,4,7-8"),
+            (1, &[], "0"),
+            (20_000_000, &[0], "1-19999999"),
+            (u32::MAX, &[u32::MAX - 1], "0-4294967293"),
+            (3, &[0, 1, 2], ""),
+        ] {
+            assert_eq!(ranges(without(of, there.iter().copied())), missing);
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! What a scan gave, in numbers.
 
 use super::reason::Warning;
+use crate::error::printable;
 use crate::inspect::align::Alignment;
 use crate::inspect::bands::RegionVerdict;
 use crate::inspect::coverage::SurfaceCoverage;
@@ -17,6 +18,7 @@ use std::path::PathBuf;
 #[derive(Debug, Serialize)]
 pub struct ScanSummary {
     /// The scene file.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Number of frames.
     pub frames: u32,
@@ -52,9 +54,12 @@ pub struct ScanSummary {
     /// What spoils the scan; empty for a good one.
     pub warnings: Vec<Warning>,
     /// The cloud's file.
+    #[serde(serialize_with = "printable::in_json")]
     pub cloud: PathBuf,
     /// The report's file.
+    #[serde(serialize_with = "printable::in_json")]
     pub report: PathBuf,
     /// The frame shown in the report, if one was taken, and the cloud over the part.
+    #[serde(serialize_with = "printable::all_in_json")]
     pub pictures: Vec<PathBuf>,
 }

@@ -1,6 +1,7 @@
 //! Where in a scene file a key stands, so that an error can say so.
 
 use super::keys;
+use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place};
 use serde::de::DeserializeOwned;
 use std::ops::Range;
@@ -48,16 +49,7 @@ enum Kind {
 impl Source {
     /// Errors: a file that cannot be read, is no regular file, or is not TOML.
     pub fn read(path: &Path) -> Result<Source, Error> {
-        let kind = std::fs::metadata(path).map_err(Error::io("read", path))?;
-        if !kind.is_file() {
-            // A pipe may never end.
-            let found = match kind.is_dir() {
-                true => "a folder",
-                false => "something that is not a regular file",
-            };
-            return Err(InputError::new(path, Place::File, found, "a scene file (TOML)").into());
-        }
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let bytes = input_file::read(path, LARGEST_TEXT, "a scene file (TOML)")?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let place = Place::Byte(error.utf8_error().valid_up_to() as u64);
             let expected = "a scene or a sensor as TOML text; a mesh is named in a scene, \
@@ -128,6 +120,23 @@ impl Source {
     pub fn values<T: DeserializeOwned>(&self) -> Result<T, Error> {
         let table = toml::de::Deserializer::from(self.table());
         T::deserialize(table).map_err(|error| self.explain(&error))
+    }
+
+    /// Errors: the file is of another kind than a scene.
+    pub fn require_scene(&self) -> Result<(), Error> {
+        let has = |key: &str| self.entries.iter().any(|entry| entry.key == key);
+        let (kind, hint) = match file_kind(has) {
+            Some(kind @ FileKind::Sensor) => {
+                (kind, "lasertrace begin makes one of a part and this file")
+            }
+            Some(kind @ FileKind::Sweep) => (kind, "lasertrace sweep takes this file"),
+            Some(kind @ FileKind::Recipe) => (kind, "lasertrace dataset takes this file"),
+            Some(FileKind::Scene) | None => return Ok(()),
+        };
+        let expected = "a scene, which names a sensor, a part and a path";
+        let mut mistake = self.mistake(None, None, kind.name(), expected);
+        mistake.hint = Some(hint.to_owned());
+        Err(mistake.into())
     }
 
     /// A list is no table, though its values could stand for a table's in their order.
@@ -254,7 +263,9 @@ impl Source {
         let reason = error.message().replace('\n', "; ");
         let found = format!("{line:?}, which is not TOML ({reason})");
         let expected = "TOML: [table], key = 1.5, key = \"text\"";
-        self.error(place, key.as_deref(), found, expected)
+        let mut mistake = self.mistake(place, key.as_deref(), found, expected);
+        mistake.hint = backslash_hint(line).map(str::to_owned);
+        mistake.into()
     }
 
     /// The dotted key of a `name` that stands at `offset`: in the inline table around it,
@@ -452,12 +463,60 @@ fn one_of(choices: &[String]) -> String {
     }
 }
 
-/// The choice most like `word`, if it is one misspelt: by the similarity of Jaro and
-/// Winkler, and with the bound, that cargo and clap use for command lines.
+/// Returns the choice that `word` probably misspells. Candidates are similar by Jaro and Winkler, with the
+/// bound that cargo and clap use for command lines. The candidate at the smallest edit distance wins, and
+/// the more similar one of two at the same distance.
 fn nearest<'a>(word: &str, choices: &[&'a str]) -> Option<&'a str> {
     let rated = choices.iter().map(|&c| (strsim::jaro_winkler(word, c), c));
-    let best = rated.max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (best.0 > 0.8).then_some(best.1)
+    let similar = rated.filter(|(similarity, _)| *similarity > 0.8);
+    let best = similar.min_by(|(a, first), (b, second)| {
+        let edits = |choice: &str| strsim::osa_distance(word, choice);
+        edits(first).cmp(&edits(second)).then(b.total_cmp(a))
+    });
+    best.map(|(_, choice)| choice)
+}
+
+/// Returns a hint if a line has a backslash in double quotes, as in paths of Windows.
+pub(crate) fn backslash_hint(line: &str) -> Option<&'static str> {
+    let quoted = line
+        .split_once('"')
+        .is_some_and(|(_, text)| text.contains('\\'));
+    quoted.then_some(
+        "in double quotes a backslash begins an escape: write / between folders, or single quotes around the text",
+    )
+}
+
+/// The kinds of TOML file that the program reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FileKind {
+    Scene,
+    Sensor,
+    Sweep,
+    Recipe,
+}
+
+impl FileKind {
+    pub fn name(self) -> &'static str {
+        match self {
+            FileKind::Scene => "a scene",
+            FileKind::Sensor => "a sensor's file",
+            FileKind::Sweep => "a sweep",
+            FileKind::Recipe => "a data set's recipe",
+        }
+    }
+}
+
+/// Returns the kind of a file by its top-level keys; `None` if they do not tell.
+pub(crate) fn file_kind(has: impl Fn(&str) -> bool) -> Option<FileKind> {
+    let any = |keys: &[&str]| keys.iter().any(|key| has(key));
+    match () {
+        () if any(&["part", "scan", "sensor"]) => Some(FileKind::Scene),
+        () if has("scene") && has("samples") => Some(FileKind::Recipe),
+        () if has("scene") => Some(FileKind::Sweep),
+        () if any(&["seed", "speckle"]) => None,
+        () if any(&["data_sheet", "laser", "camera"]) => Some(FileKind::Sensor),
+        () => None,
+    }
 }
 
 fn collect(prefix: &str, table: &DeTable, entries: &mut Vec<Entry>) {

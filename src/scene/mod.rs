@@ -23,6 +23,7 @@ mod warnings_table;
 pub use accept_table::{AcceptTable, LimitsTable};
 pub use data_sheet::{Origin, SolvedValue};
 pub use file::{Moves, PlanTable, SceneFile, schema, sensor_schema};
+pub(crate) use locate::{FileKind, backslash_hint, file_kind};
 pub use path::{Motion, ScanPath};
 pub use poses::parse as parse_poses;
 pub use resolve::{Measure, Scene, SpeckleModel};

@@ -3,7 +3,8 @@
 use super::file::{HandEyeTable, Moves, RotaryTable, ScanTable};
 use super::poses::{self, EXPECTED_COLUMNS, Layout, PoseList};
 use super::resolver::Resolver;
-use crate::error::{Error, InputError, Place, Result, printable};
+use crate::error::input_file::{self, LARGEST_DATA};
+use crate::error::{InputError, Place, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
 use glam::DQuat;
 use serde::Serialize;
@@ -57,6 +58,7 @@ pub enum Motion {
     /// A pose for each frame, read from a file.
     Poses {
         /// The file they were read from.
+        #[serde(serialize_with = "printable::in_json")]
         file: PathBuf,
         /// One a frame: too many to print.
         #[serde(skip)]
@@ -292,7 +294,7 @@ impl Resolver<'_> {
         if let Some(name) = &table.frame_times {
             let key = "scan.frame_times";
             let times = self.file(name, key, "a file of times")?;
-            let bytes = std::fs::read(&times).map_err(Error::io("read", &times))?;
+            let bytes = input_file::read(&times, LARGEST_DATA, "times (CSV)")?;
             let expected = "none beside a file of poses without a column time_s or time_ms";
             let known = list.times.ok_or_else(|| self.source.wrong(key, expected))?;
             let wanted = poses::read_times(&times, &bytes)?;
@@ -344,7 +346,7 @@ impl Resolver<'_> {
         layout: Option<Layout>,
     ) -> Result<(PathBuf, PoseList, Vec<u8>)> {
         let file = self.file(file, key, "a CSV file of poses")?;
-        let bytes = std::fs::read(&file).map_err(Error::io("read", &file))?;
+        let bytes = input_file::read(&file, LARGEST_DATA, "poses (CSV)")?;
         let list = poses::read(&file, &bytes, layout)?;
         let hash = Sha256::digest(&bytes).to_vec();
         Ok((file, list, hash))

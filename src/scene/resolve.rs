@@ -11,7 +11,8 @@ use super::unit::Unit;
 use super::warnings_table::WarningsTable;
 use crate::accel::Backend;
 use crate::camera::Camera;
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::input_file::{self, LARGEST_TEXT};
+use crate::error::{InputError, Place, Result, printable};
 use crate::inspect::bands::Band;
 use crate::laser::Laser;
 use crate::math::{Aabb, Aperture, DVec3, Rigid};
@@ -21,6 +22,7 @@ use crate::profile::{Calibration, Choice, Filters, PeakFinder};
 use crate::speckle::lookup::{Coherence, Method};
 use crate::surface::Surfaces;
 use sha2::{Digest, Sha256};
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -55,7 +57,12 @@ pub struct Measure {
 #[derive(Clone, serde::Serialize)]
 pub struct Scene {
     /// The scene file; what errors and summaries name.
+    #[serde(serialize_with = "printable::in_json")]
     pub path: PathBuf,
+    /// The scene file and the files it names, which no output may replace.
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub inputs: Arc<[PathBuf]>,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
     #[doc(hidden)]
     pub hash: String,
@@ -152,15 +159,16 @@ impl Scene {
     /// The same; `watch` hears how much of the mesh is read.
     #[doc(hidden)]
     pub fn load_watched(path: &Path, watch: &Watch) -> Result<Scene> {
-        Scene::resolved(Source::read(path)?, path, watch, None)
+        let source = Source::read(path)?;
+        source.require_scene()?;
+        Scene::resolved(source, path, watch, None)
     }
 
     /// A scene of the sensor that a file of its own describes: before it, in the head's xy plane, a matt plane that
     /// reflects half of the light. `None`: the file is a scene, or nothing that is known. Errors: mistakes in a sensor's file.
     #[doc(hidden)]
     pub fn of_sensor(path: &Path) -> Result<Option<Scene>> {
-        let is_file = path.metadata().is_ok_and(|kind| kind.is_file());
-        let text = std::fs::read_to_string(path).ok().filter(|_| is_file);
+        let text = input_file::read_text(path, LARGEST_TEXT, "a sensor's file (TOML)").ok();
         let table = text.and_then(|text| text.parse::<toml::Table>().ok());
         let has = |key: &str| table.as_ref().is_some_and(|table| table.contains_key(key));
         let describes = ["data_sheet", "laser", "camera"].into_iter().any(has);
@@ -208,6 +216,7 @@ impl Scene {
             source: Source::read(path)?,
             path,
             watch: &|_| Ok(()),
+            inputs: RefCell::default(),
         };
         resolver.take_sensor()?;
         let mut values: toml::Table = resolver.source.values()?;
@@ -250,6 +259,7 @@ impl Scene {
             source,
             path,
             watch,
+            inputs: RefCell::new(vec![path.to_owned()]),
         };
         let solved = resolver.take_sensor()?;
         let file: SceneFile = resolver.source.values()?;
@@ -381,6 +391,7 @@ impl Resolver<'_> {
         )?;
         Ok(Scene {
             path: self.path.to_owned(),
+            inputs: self.inputs.take().into(),
             hash: self.hash(&[mesh_hash, copies_hash, poses_hash, calibration_hash]),
             seed: file.seed,
             speckle,
@@ -478,7 +489,7 @@ impl Resolver<'_> {
             return Ok((None, Vec::new()));
         };
         let path = self.file(name, "measure.calibration", "a calibration")?;
-        let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;
+        let bytes = input_file::read(&path, LARGEST_TEXT, "a calibration (JSON)")?;
         let calibration = Calibration::parse(&path, &bytes)?;
         let [columns, rows] = camera.sensor.resolution.to_array();
         self.check(

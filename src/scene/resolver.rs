@@ -7,6 +7,7 @@ use crate::error::{Error, Result, printable};
 use crate::math::DVec3;
 use crate::mesh::{self, Watch};
 use serde::Deserialize;
+use std::cell::RefCell;
 use std::io::ErrorKind::{InvalidFilename, InvalidInput, NotADirectory, NotFound};
 use std::mem;
 use std::path::{Path, PathBuf};
@@ -15,6 +16,8 @@ pub(super) struct Resolver<'a> {
     pub(super) source: Source,
     pub(super) path: &'a Path,
     pub(super) watch: &'a Watch<'a>,
+    /// Files that the scene names and that were read.
+    pub(super) inputs: RefCell<Vec<PathBuf>>,
 }
 
 /// What is read of a scene before the rest.
@@ -98,10 +101,18 @@ impl Resolver<'_> {
     /// The file `key` names, relative to the scene file. Errors: there is none, or it is
     /// no regular file, at the key; `Error::Io` where the system does not let it be found.
     pub(super) fn file(&self, name: &str, key: &str, what: &str) -> Result<PathBuf> {
-        let file = self.path.parent().unwrap_or(Path::new("")).join(name);
+        let own = self.path.file_name().unwrap_or_default();
+        let file = match own.to_string_lossy() == name {
+            // A sensor's file names itself, also where its name is not UTF-8.
+            true => self.path.to_owned(),
+            false => self.path.parent().unwrap_or(Path::new("")).join(name),
+        };
         let shown = printable::path(&file);
         match file.metadata() {
-            Ok(kind) if kind.is_file() => Ok(file),
+            Ok(kind) if kind.is_file() => {
+                self.inputs.borrow_mut().push(file.clone());
+                Ok(file)
+            }
             Ok(_) => {
                 // A pipe or a device may never end.
                 let expected = format!("{what}; {shown} is not a regular file");
@@ -114,7 +125,11 @@ impl Resolver<'_> {
                     NotFound | NotADirectory | InvalidInput | InvalidFilename
                 ) =>
             {
-                let expected = format!("{what}; there is none at {shown}");
+                let mut expected = format!("{what}; there is none at {shown}");
+                // A backslash, or the line feed that an escape became: C:\new.
+                if name.contains(|c: char| c == '\\' || c.is_control()) {
+                    expected += "; a backslash does not separate folders, and in double quotes it begins an escape: write /";
+                }
                 Err(self.source.wrong(key, &expected))
             }
             Err(error) => Err(Error::io("read", &file)(error)),

@@ -4,6 +4,7 @@
 use super::job_folder::JobFolder;
 use crate::error::{Error, Result};
 use crate::run::files;
+use crate::run::output_folder::LISTS;
 use rustix::fs::{Mode, OFlags};
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
@@ -177,6 +178,9 @@ fn list(folder: &Path, before: &str, found: &mut Vec<ResultFile>) {
         let (Ok(kind), Ok(name)) = (entry.file_type(), entry.file_name().into_string()) else {
             continue;
         };
+        if name == LISTS {
+            continue;
+        }
         let name = format!("{before}{name}");
         if kind.is_dir() {
             list(&entry.path(), &format!("{name}/"), found);

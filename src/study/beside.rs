@@ -2,6 +2,7 @@
 
 use super::image_file::Channel;
 use super::peak_image::{GreyImage, LineAlong, read_image};
+use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{InputError, Place, Result};
 use crate::run::files;
 use crate::scene::Scene;
@@ -16,6 +17,8 @@ pub struct Beside {
     /// In the order of the scan.
     pub frames: Vec<BesideFrame>,
     path: PathBuf,
+    /// The file and its images.
+    pub(super) inputs: Vec<PathBuf>,
 }
 
 /// One frame of it.
@@ -50,7 +53,8 @@ impl Beside {
     /// each with an image of the sensor's counts.
     pub fn read(path: &Path) -> Result<Beside> {
         let expected = "{\"name\": …, \"frames\": [{\"frame\": …, \"ms\": […], \"image\": …}, …]}";
-        let file: File = files::parse_json(path, &files::read_regular(path, expected)?, expected)?;
+        let bytes = input_file::read(path, LARGEST_TEXT, expected)?;
+        let file: File = files::parse_json(path, &bytes, expected)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let frame = |frame: FileFrame| {
             let image = read_image(
@@ -64,7 +68,10 @@ impl Beside {
                 image,
             })
         };
+        let images = file.frames.iter().map(|frame| folder.join(&frame.image));
+        let inputs = images.chain([path.to_owned()]).collect();
         Ok(Beside {
+            inputs,
             frames: file.frames.into_iter().map(frame).collect::<Result<_>>()?,
             name: file.name,
             path: path.to_owned(),

@@ -3,7 +3,7 @@
 
 use crate::camera::Distortion;
 use crate::camera::Sensor;
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::shapes;
@@ -13,13 +13,14 @@ use crate::profile::{
 };
 use crate::report::residual_picture::residual_picture;
 use crate::run::error_model::perfect_calibration;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, files};
 use crate::scene::{ScanPath, Scene};
 use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use std::f64::consts::PI;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Poses of the target.
@@ -42,6 +43,7 @@ const RIM_PX: f64 = 2.0;
 #[derive(Debug, Serialize)]
 pub struct CalibrationSummary {
     /// The scene file.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Poses of the target.
     pub views: u32,
@@ -70,8 +72,10 @@ pub struct CalibrationSummary {
     /// What was found.
     pub estimates: Calibration,
     /// Where the estimates were written.
+    #[serde(serialize_with = "printable::in_json")]
     pub calibration: PathBuf,
     /// Where the picture of the residuals was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -90,7 +94,11 @@ pub struct ParameterResult {
 
 /// Writes `calibration.json`, `residuals.svg` and `summary.json` to `out`. The
 /// scene's own part and scan play no role; its calibration is not used.
-pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<CalibrationSummary> {
+pub fn calibrate<'a>(
+    mut scene: Scene,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<CalibrationSummary> {
     scene.tolerance_um = None; // it was stated for the part
     let truth = perfect_calibration(&scene);
     let key = Key::new(scene.seed, Purpose::Calibration);
@@ -109,11 +117,11 @@ pub fn calibrate(mut scene: Scene, out: &Path, control: &Control) -> Result<Cali
             .extend(dots(&truth, target, width, dot_sigma_px, key));
     }
     let path = scene.path.clone();
-    files::create_folder(out)?;
     let names = ["summary.json", "calibration.json", "residuals.svg"];
-    let [summary_file, calibration, picture] = names.map(|name| out.join(name));
-    for file in [&summary_file, &calibration, &picture] {
-        files::remove(file)?;
+    let folder = out.into().claim(&scene.inputs, &Names::of(names))?;
+    let [summary_file, calibration, picture] = names.map(|name| folder.path.join(name));
+    for name in names {
+        folder.remove(name)?;
     }
     let plane = shapes::plane(DVec2::splat(4.0 * width));
     scene.mesh = Arc::new(plane.expect("a field has a width"));

@@ -2,20 +2,21 @@
 
 use super::beside::Beside;
 use super::tiers::{Tier, TierFrame, Tiers};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::plan::rules::Plan;
 use crate::plan::words::in_words;
 use crate::profile::{Calibration, Peak, PeakFinder};
 use crate::report::accuracy_chart::{AccuracyChart, Mark};
 use crate::report::chart::short;
 use crate::run::height_errors::{HeightErrors, at_share};
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::pilot::spread_frames;
 use crate::run::ready;
 use crate::run::{Control, files};
 use crate::scene::Scene;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// What a chart takes.
@@ -32,6 +33,7 @@ pub struct ChartEffort {
 #[derive(Debug, Serialize)]
 pub struct Chart {
     /// The scene file.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Numbers of the frames that were done.
     pub frames: Vec<u32>,
@@ -47,8 +49,10 @@ pub struct Chart {
     /// Another program's images of the same frames.
     pub beside: Option<ChartFigures>,
     /// Where the chart was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
     /// Where this was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub json: PathBuf,
 }
 
@@ -117,15 +121,18 @@ pub fn chart_steps(scene: &Scene, effort: ChartEffort) -> u64 {
 /// Times all tiers on some of the scene's frames and measures their errors; writes
 /// `chart.svg` and `chart.json` to `out`. With frames of another program, those are the frames taken, whatever
 /// `effort` says. Errors: these do not fit the scene; no line in any frame; files.
-pub fn chart(
+pub fn chart<'a>(
     scene: &Scene,
     effort: ChartEffort,
     beside: Option<&Beside>,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<Chart> {
     beside.map_or(Ok(()), |beside| beside.check(scene))?;
-    files::create_folder(out)?;
+    let mut inputs = scene.inputs.to_vec();
+    inputs.extend(beside.iter().flat_map(|beside| beside.inputs.clone()));
+    let names = Names::of(["chart.svg", "chart.json"]);
+    let out = out.into().claim(&inputs, &names)?.path;
     let (scene, accel) = ready::hierarchy_watched(scene, control)?;
     let tiers = Tiers::all(&scene, accel)?;
     let frames = match beside {

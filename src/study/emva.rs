@@ -2,10 +2,11 @@
 
 use super::sensor_scene::SensorScene;
 use crate::camera::Sensor;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::frame::{Irradiance, Readout};
 use crate::math::rng::{Key, Purpose};
 use crate::report::picture::encode_counts;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{Control, files};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -37,8 +38,10 @@ pub fn emva_images() -> u64 {
 #[derive(Debug, Serialize)]
 pub struct EmvaSummary {
     /// The sensor's file, or a scene.
+    #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
     /// What the tool reads.
+    #[serde(serialize_with = "printable::in_json")]
     pub descriptor: PathBuf,
     /// Files of images.
     pub images: u64,
@@ -86,10 +89,10 @@ fn all_series(longest_ms: f64) -> Vec<Series> {
 
 /// Writes `images/*.png`, `EMVA1288descriptor.txt` and `emva.json`: series at constant light over rising exposures up to beyond saturation, at
 /// the exposure of the sensor's file, each with one in the dark. Errors: a sensor without noise; files.
-pub fn emva(
+pub fn emva<'a>(
     sensor: &Path,
     seed: Option<u64>,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<EmvaSummary> {
     let base = SensorScene::read(sensor)?;
@@ -113,7 +116,17 @@ pub fn emva(
     let light = saturation_e / camera.electrons_per_irradiance(wavelength);
 
     let series = all_series(longest_ms);
-    files::create_folder(out)?;
+    let inputs = [&scene.inputs[..], &[sensor.to_owned()]].concat();
+    let name = |number: usize, i: u64| format!("{number:03}-{i:02}.png");
+    let images = series.iter().enumerate();
+    let images =
+        images.flat_map(|(number, series)| (0..series.images).map(move |i| name(number, i)));
+    let names = images.map(|image| format!("images/{image}"));
+    let files = ["EMVA1288descriptor.txt", "emva.json"].map(str::to_owned);
+    let out = out
+        .into()
+        .claim(&inputs, &Names::of(names.chain(files)))?
+        .path;
     let folder = out.join("images");
     files::create_own_folder(&folder)?;
     let [columns, rows] = camera.resolution.to_array();
@@ -132,19 +145,18 @@ pub fn emva(
         };
         let image = Irradiance::even(sensor.resolution, light as f32);
         let readout = Readout::new(sensor, wavelength, scene.seed);
-        let name = |i: u64| format!("{number:03}-{i:02}.png");
         (0..series.images).into_par_iter().try_for_each(|i| {
             control.check()?;
             let key = Key::new(scene.seed, Purpose::SensorNoise)
                 .with(number as u64)
                 .with(i);
             let png = encode_counts(&readout.counts(&image, key), camera.max_count());
-            files::write_checked_later(&folder.join(name(i)), &png, files::PART)?;
+            files::write_checked_later(&folder.join(name(number, i)), &png, files::PART)?;
             (control.progress)(done.fetch_add(1, Ordering::Relaxed) + 1);
             Ok::<(), Error>(())
         })?;
         for i in 0..series.images {
-            let _ = writeln!(text, "i images/{}", name(i));
+            let _ = writeln!(text, "i images/{}", name(number, i));
         }
     }
     let summary = EmvaSummary {
@@ -163,6 +175,7 @@ pub fn emva(
         warnings: warnings(camera),
     };
     // Last, so that it names images that are there.
+    files::sync_all(out)?;
     files::write_bytes(&summary.descriptor, text.as_bytes())?;
     files::write_json(&out.join("emva.json"), &summary)?;
     Ok(summary)

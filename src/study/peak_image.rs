@@ -2,10 +2,12 @@
 
 use super::image_file::{Channel, FORMATS, read_channel};
 use crate::camera::Counts;
-use crate::error::{InputError, Place, Result};
+use crate::error::input_file::{self, LARGEST_DATA};
+use crate::error::{InputError, Place, Result, printable};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{Control, files};
 use serde::Serialize;
 use std::io::Write as _;
@@ -37,6 +39,7 @@ pub struct GreyImage {
 #[derive(Debug, Serialize)]
 pub struct ImageSummary {
     /// The image file.
+    #[serde(serialize_with = "printable::in_json")]
     pub image: PathBuf,
     /// How the line runs.
     pub line_along: LineAlong,
@@ -49,8 +52,10 @@ pub struct ImageSummary {
     /// One for each finder.
     pub finders: Vec<FoundLine>,
     /// Where the table of points was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub table: PathBuf,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -70,7 +75,7 @@ pub struct FoundLine {
 /// Reads one channel of an image file (PNG, JPEG, TIFF, BMP or PGM, of 8 or 16 bits). Errors: no
 /// regular file, no such image.
 pub fn read_image(path: &Path, line_along: LineAlong, channel: Channel) -> Result<GreyImage> {
-    let bytes = files::read_regular(path, FORMATS)?;
+    let bytes = input_file::read(path, LARGEST_DATA, FORMATS)?;
     parse_image(path, &bytes, line_along, channel)
 }
 
@@ -104,15 +109,16 @@ impl GreyImage {
 
 /// Runs all finders on an image; writes `line.csv`, `line.json` and `line.svg`, the
 /// image with what they found over it.
-pub fn peaks_of_image(
+pub fn peaks_of_image<'a>(
     path: &Path,
     line_along: LineAlong,
     channel: Channel,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<ImageSummary> {
     let image = read_image(path, line_along, channel)?;
-    files::create_folder(out)?;
+    let names = Names::of(["line.csv", "line.json", "line.svg"]);
+    let out = out.into().claim(&[path.to_owned()], &names)?.path;
     let lines = PeakFinder::ALL.map(|finder| (finder, image.peaks(finder)));
     control.check()?;
     let summary = ImageSummary {

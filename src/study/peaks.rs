@@ -2,17 +2,18 @@
 //! is known.
 
 use super::synthetic::{BLACK, Condition, MAX_COUNT, PHASES};
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::profile::{PeakFinder, PeakSettings, find_peaks};
 use crate::report::axes::{Axes, Axis, Mark, legend};
 use crate::report::svg::Svg;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{Control, files};
 use crate::speckle::lookup::{Coherence, Lookup, Method};
 use crate::speckle::pattern::PatternSpec;
 use crate::speckle::theory::centroid_noise;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// `peaks.json`.
 #[derive(Debug, Serialize)]
@@ -22,6 +23,7 @@ pub struct PeakChart {
     /// One for each quantity that is changed.
     pub axes: Vec<ChartAxis>,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -128,8 +130,13 @@ pub fn chart_conditions() -> usize {
 }
 
 /// Writes `peaks.json` and `peaks.svg`.
-pub fn peak_chart(seed: u64, out: &Path, control: &Control) -> Result<PeakChart> {
-    files::create_folder(out)?;
+pub fn peak_chart<'a>(
+    seed: u64,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<PeakChart> {
+    let names = Names::of(["peaks.json", "peaks.svg"]);
+    let out = out.into().claim(&[], &names)?.path;
     let spec = PatternSpec {
         slices: 32,
         seed,

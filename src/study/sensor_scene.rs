@@ -1,5 +1,6 @@
 //! A sensor alone, from its own file or out of a scene, before parts that are made for it.
 
+use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, InputError, Place, Result};
 use crate::scene::Scene;
 use std::path::{Path, PathBuf};
@@ -40,7 +41,8 @@ pub struct SensorScene {
 impl SensorScene {
     /// Errors: a file that is neither, at the place of the mistake.
     pub fn read(path: &Path) -> Result<SensorScene> {
-        let described = std::fs::read_to_string(path).ok();
+        let expected = "a scene or a sensor's file (TOML)";
+        let described = input_file::read_text(path, LARGEST_TEXT, expected).ok();
         let table = described.and_then(|text| text.parse::<Table>().ok());
         let is_sensor = |table: &Table| !table.contains_key("part") && !table.contains_key("scan");
         let table = match table {

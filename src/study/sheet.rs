@@ -1,17 +1,18 @@
 //! A sensor measured as data sheets measure it: a plane square to the beam, moved through the measuring range.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::mesh::{Mesh, shapes};
 use crate::profile::{Peak, RowError, sum_of_both_sides};
 use crate::report::chart::short;
 use crate::report::sheet_plot::{PlottedPlace, sheet_plot};
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::ready::hierarchy_watched;
 use crate::run::{Control, SensorFigures, Simulation, files};
 use crate::scene::{Motion, Moves, ScanPath, Scene};
 use crate::speckle::theory::centroid_noise;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Distances from the laser.
@@ -36,6 +37,7 @@ const STEP: f64 = 0.5;
 #[derive(Debug, Serialize)]
 pub struct SheetSummary {
     /// The file of the sensor or scene.
+    #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
     /// From the near end of the range to the far one.
     pub places: Vec<SheetPlace>,
@@ -44,6 +46,7 @@ pub struct SheetSummary {
     /// Of it in the range looked at, percent.
     pub linearity_percent: Option<f64>,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -89,10 +92,15 @@ pub struct SheetPlace {
 ///
 /// # Errors
 /// The camera sees nothing of the laser's light, wherever it falls; those of [`Simulation::new`].
-pub fn sheet(mut scene: Scene, out: &Path, control: &Control) -> Result<SheetSummary> {
+pub fn sheet<'a>(
+    mut scene: Scene,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<SheetSummary> {
     // What scatters must not be left out.
     scene.tolerance_um = None;
-    files::create_folder(out)?;
+    let names = Names::of(["sheet.json", "sheet.svg"]);
+    let out = out.into().claim(&scene.inputs, &names)?.path;
     let figures = {
         let (scene, accel) = hierarchy_watched(&scene, control)?;
         SensorFigures::of_sensor(&scene, &accel)

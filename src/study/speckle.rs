@@ -1,9 +1,10 @@
 //! Patterns for looking at, and their statistics against theory.
 
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::math::DVec2;
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::{Control, files};
 use crate::speckle::coordinate::Coordinate;
 use crate::speckle::lookup::{Coherence, Lookup, Method};
@@ -26,8 +27,10 @@ pub struct SpeckleSummary {
     /// One for each lens of the picture.
     pub grains: Vec<Grain>,
     /// Where the pattern was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub pattern: PathBuf,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -55,9 +58,14 @@ const SIDE: usize = 512;
 
 /// Writes `pattern.exr` (intensity of slice 0, and its field), `statistics.json`
 /// and `f-numbers.svg`.
-pub fn speckle(spec: &PatternSpec, out: &Path, control: &Control) -> Result<SpeckleSummary> {
+pub fn speckle<'a>(
+    spec: &PatternSpec,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<SpeckleSummary> {
     spec.validate()?;
-    files::create_folder(out)?;
+    let names = Names::of(["pattern.exr", "statistics.json", "f-numbers.svg"]);
+    let out = out.into().claim(&[], &names)?.path;
     let start = Instant::now();
     let lookup = Lookup::new(spec, Method::Field, Coherence::FULL)?;
     let seconds_patterns = start.elapsed().as_secs_f64();

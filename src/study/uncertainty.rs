@@ -1,11 +1,12 @@
 //! Monte Carlo over seeds: the scatter of a frame's lines beside what is predicted.
 
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::inspect::uncertainty::ColumnUncertainty;
 use crate::math::DVec2;
 use crate::profile::{Calibration, Peak};
 use crate::report::chart::short;
 use crate::report::uncertainty_plot::uncertainty_plot;
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, check_frame, files};
 use crate::scene::Scene;
@@ -16,6 +17,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Serialize)]
 pub struct MonteCarlo {
     /// The scene file.
+    #[serde(serialize_with = "printable::in_json")]
     pub scene: PathBuf,
     /// Number of the frame.
     pub frame: u32,
@@ -34,6 +36,7 @@ pub struct MonteCarlo {
     /// One for each column with a line.
     pub columns: Vec<ColumnUncertainty>,
     /// Where the picture was written.
+    #[serde(serialize_with = "printable::in_json")]
     pub picture: PathBuf,
 }
 
@@ -50,20 +53,23 @@ impl Draw {
     }
 }
 
+/// Files that are written.
+const FILES: [&str; 2] = ["uncertainty.json", "uncertainty.svg"];
+
 /// Runs a frame with `seeds` seeds from the scene's own on, and writes
 /// `uncertainty.json` and `uncertainty.svg`. The truth of a column is the row of the
 /// same frame without speckle and noise, by the same finder.
-pub fn monte_carlo(
+pub fn monte_carlo<'a>(
     mut scene: Scene,
     frame: u32,
     seeds: u64,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
     // What is scattered must not be left out.
     scene.tolerance_um = None;
-    files::create_folder(out)?;
+    let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
     let (truth, calibration) = ideal_peaks(&mut scene, frame)?;
     let columns = scene.camera.sensor.resolution.x;
     let mut errors = vec![Vec::new(); columns as usize];
@@ -137,16 +143,16 @@ fn written(summary: MonteCarlo, columns: u32, out: &Path) -> Result<MonteCarlo> 
 
 /// The same of noise alone, for nothing moves: the truth of a column is the mean of its rows, whose own uncertainty is
 /// taken off.
-pub fn repeatability(
+pub fn repeatability<'a>(
     mut scene: Scene,
     frame: u32,
     seeds: u64,
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
     scene.tolerance_um = None;
-    files::create_folder(out)?;
+    let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
     let simulation = Simulation::new(&scene)?;
     let light = simulation.irradiance(frame);
     let columns = scene.camera.sensor.resolution.x;

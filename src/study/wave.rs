@@ -2,12 +2,13 @@
 //! patch of a scene.
 
 use crate::accel::Ray;
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, printable};
 use crate::math::Aperture;
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DVec2, DVec3};
 use crate::report::picture::encode_for_eyes;
 use crate::report::wave_plot::{centroid_plot, motion_plot};
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::ready;
 use crate::run::surface_view::surface_view;
 use crate::run::{Control, files};
@@ -26,7 +27,7 @@ use crate::wave::motion::{MotionCase, MotionRow, WaveSampling, measure_motions, 
 use crate::wave::patch::{lit, patch_filling_view};
 use crate::wave::spot::{SpotRow, limit_setups, spot_height_noise};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// How much to simulate.
@@ -61,6 +62,7 @@ pub struct WaveSummary {
     /// Empty for a scene's patch.
     pub spots: Vec<SpotRow>,
     /// Where the pictures were written.
+    #[serde(serialize_with = "printable::all_in_json")]
     pub pictures: Vec<PathBuf>,
 }
 
@@ -76,8 +78,13 @@ const REGION_GRAINS: f64 = 24.0;
 
 /// The reference motions and line widths, measured by waves beside what the
 /// pattern lookup predicts: `wave.json`, `motion.svg` and `centroid.svg`.
-pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Result<WaveSummary> {
-    files::create_folder(out)?;
+pub fn wave_reference<'a>(
+    effort: WaveEffort,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<WaveSummary> {
+    let names = Names::of(["wave.json", "motion.svg", "centroid.svg"]);
+    let out = out.into().claim(&[], &names)?.path;
     let sampling = WaveSampling {
         wavelength_mm: REFERENCE_WAVELENGTH_MM,
         region_grains: REGION_GRAINS,
@@ -128,8 +135,13 @@ pub fn wave_reference(effort: WaveEffort, out: &Path, control: &Control) -> Resu
 
 /// The patch's coherent image, `patch.png`, and what one, two and four steps of the scan
 /// do to its speckle, `motion.svg`; all numbers in `wave.json`.
-pub fn wave_patch(patch: &WavePatch, out: &Path, control: &Control) -> Result<WaveSummary> {
-    files::create_folder(out)?;
+pub fn wave_patch<'a>(
+    patch: &WavePatch,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<WaveSummary> {
+    let names = Names::of(["wave.json", "motion.svg", "patch.png"]);
+    let out = out.into().claim(&patch.scene.inputs, &names)?.path;
     let seed = patch.sampling.seed;
     let all: f64 = patch.terms.iter().sum();
     let told = |terms: f64| (control.progress)((terms / all * PATCH_STEPS as f64) as u64);

@@ -341,7 +341,8 @@ pub fn by_command(scene: &str, arguments: &[&str]) -> BTreeMap<String, Vec<u8>> 
         for entry in fs::read_dir(&next).unwrap() {
             let path = entry.unwrap().path();
             if path.is_dir() {
-                left.push(path);
+                // The lists of names are no results of a job.
+                left.extend(Some(path).filter(|path| !path.ends_with(".lasertrace")));
             } else {
                 let name = path.strip_prefix(folder.path().join("out")).unwrap();
                 found.insert(name.to_str().unwrap().to_owned(), fs::read(&path).unwrap());

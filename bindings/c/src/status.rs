@@ -51,7 +51,9 @@ impl From<Error> for Failure {
         let status = match &error {
             Error::Usage(_) => lasertrace_status::Argument,
             Error::Input(_) | Error::Warned(_) => lasertrace_status::Input,
-            Error::Io { .. } | Error::OtherRun { .. } | Error::Busy(_) => lasertrace_status::File,
+            Error::Io { .. } | Error::OtherRun { .. } | Error::Occupied { .. } | Error::Busy(_) => {
+                lasertrace_status::File
+            }
             Error::Memory { .. } | Error::Exhausted(_) => lasertrace_status::Resources,
             Error::Interrupted => lasertrace_status::Stopped,
             Error::Embree(_) => lasertrace_status::Internal,

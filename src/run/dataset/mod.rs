@@ -9,9 +9,11 @@ mod recipe;
 mod sample;
 
 use super::journal::checksum;
+use super::output_folder::{Names, OutputFolder, remove_unfinished};
 use super::shards::{Shard, unfinished};
 use super::{Control, Coverage, files, need, ready};
-use crate::error::{Error, Result};
+use crate::error::input_file::{self, LARGEST_TEXT};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::mesh::memory;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -21,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -69,6 +71,7 @@ pub struct DatasetSummary {
     /// Those that were made now.
     pub files_made: u64,
     /// The set's index, if all files of all shards are there.
+    #[serde(serialize_with = "printable::some_in_json")]
     pub index: Option<PathBuf>,
 }
 
@@ -77,10 +80,15 @@ pub struct DatasetSummary {
 ///
 /// Errors: a mistake in recipe or scene, also of a value at the ends of what is drawn; files
 /// of another recipe in `out`; too little memory or disk.
-pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Result<DatasetSummary> {
+pub fn dataset<'a>(
+    path: &Path,
+    shard: Shard,
+    out: impl Into<OutputFolder<'a>>,
+    control: &Control,
+) -> Result<DatasetSummary> {
     let recipe = Recipe::read(path)?;
     let scene = Scene::load_watched(&recipe.scene, &|_| control.check())?;
-    let text = std::fs::read_to_string(&recipe.scene).map_err(Error::io("read", &recipe.scene))?;
+    let text = input_file::read_text(&recipe.scene, LARGEST_TEXT, "a scene (TOML)")?;
     need::require_images(&scene, rayon::current_num_threads() as u64)?;
     let job = job(&recipe, &scene);
     let files = recipe.samples.div_ceil(recipe.samples_per_file);
@@ -92,14 +100,20 @@ pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Resu
     for (values, end) in recipe.draws.ends().iter().zip(["lower", "upper"]) {
         set.scene(values, 0, &format!("at the {end} ends of [draw]"))?;
     }
-    files::create_folder(out)?;
+    let inputs = [&scene.inputs[..], &[path.to_owned()]].concat();
+    let names = names(files);
+    let out = out.into().claim(&inputs, &names)?.path;
     let own = (u64::from(shard.shard)..files).step_by(shard.of as usize);
     let (mut done, mut made) = (0, 0);
     for file in own.clone() {
         let samples = file * recipe.samples_per_file
             ..((file + 1) * recipe.samples_per_file).min(recipe.samples);
         let count = samples.end - samples.start;
-        if whole(out, file, &job)?.is_none() {
+        let there = match indexed(out, file, &job)? {
+            Some(index) => is_sound(out, &index, control)?,
+            None => false,
+        };
+        if !there {
             make(
                 &set,
                 file,
@@ -117,9 +131,16 @@ pub fn dataset(path: &Path, shard: Shard, out: &Path, control: &Control) -> Resu
     Ok(DatasetSummary {
         files: own.count() as u64,
         files_made: made,
-        index: index(&recipe, files, &job, out)?,
+        index: index(&recipe, files, &job, (out, shard), control)?,
         job,
     })
+}
+
+/// All files of a set.
+fn names(files: u64) -> Names {
+    Names::of(["index.json"])
+        .and("samples-", 6, ".tar", 0..files)
+        .and("samples-", 6, ".json", 0..files)
 }
 
 /// How many samples a shard of a recipe has, for a progress bar.
@@ -143,29 +164,63 @@ fn job(recipe: &Recipe, scene: &Scene) -> String {
         &scene.hash,
     ];
     let sum = checksum(parts.join("\n").as_bytes());
-    sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    hex(&sum[..8])
 }
 
 fn name(file: u64) -> String {
     format!("samples-{file:06}.tar")
 }
 
-/// The index of a tar file that is there. Errors: it is of another set.
-fn whole(out: &Path, file: u64, job: &str) -> Result<Option<TarIndex>> {
+/// The index of a tar file that is there, if the file has its length. Errors: it is of another set; a file
+/// that is there and cannot be read.
+fn indexed(out: &Path, file: u64, job: &str) -> Result<Option<TarIndex>> {
     let tar = out.join(name(file));
-    let index = std::fs::read(tar.with_extension("json")).ok();
-    let index = index.and_then(|bytes| serde_json::from_slice::<TarIndex>(&bytes).ok());
-    let length = std::fs::metadata(&tar).map(|tar| tar.len()).ok();
-    let Some(index) = index.filter(|index| length == Some(index.bytes)) else {
+    let path = tar.with_extension("json");
+    let not_there = |error: &Error| {
+        let kind = io::ErrorKind::NotFound;
+        matches!(error, Error::Io { source, .. } if source.kind() == kind)
+    };
+    let bytes = match input_file::read(&path, LARGEST_TEXT, "the index of a tar file") {
+        Err(error) if not_there(&error) => return Ok(None),
+        bytes => bytes?,
+    };
+    let length = match std::fs::metadata(&tar).map_err(Error::io("read", &tar)) {
+        Err(error) if not_there(&error) => return Ok(None),
+        tar => tar?.len(),
+    };
+    let index = serde_json::from_slice::<TarIndex>(&bytes).ok();
+    let Some(index) = index.filter(|index| index.bytes == length && index.file == name(file))
+    else {
         return Ok(None);
     };
     if index.job != job {
         return Err(Error::OtherRun {
-            journal: tar.with_extension("json"),
+            journal: path,
             difference: "recipe, scene, a file it names or the version has changed".to_owned(),
         });
     }
     Ok(Some(index))
+}
+
+/// Whether a tar file has the SHA-256 that its index states.
+fn is_sound(out: &Path, index: &TarIndex, control: &Control) -> Result<bool> {
+    const PIECE: usize = 1 << 22;
+    let path = out.join(&index.file);
+    let (mut file, _) = input_file::open(&path, "a tar file of samples")?;
+    let (mut hash, mut piece) = (Sha256::new(), vec![0; PIECE]);
+    loop {
+        control.check()?;
+        match file.read(&mut piece) {
+            Ok(0) => return Ok(hex(&hash.finalize()) == index.sha256),
+            Ok(length) => hash.update(&piece[..length]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(Error::io("read", &path)(error)),
+        }
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Makes one tar file and its index.
@@ -209,7 +264,7 @@ fn make(
         file: name(file),
         samples,
         bytes,
-        sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
+        sha256: hex(&sha256),
     };
     write_json(&path.with_extension("json"), &index)
 }
@@ -230,13 +285,42 @@ fn append<W: Write>(tar: &mut tar::Builder<W>, name: &str, content: &[u8]) -> io
     tar.append_data(&mut header, name, content)
 }
 
-/// Writes the set's index if all its files are there.
-fn index(recipe: &Recipe, files: u64, job: &str, out: &Path) -> Result<Option<PathBuf>> {
+/// Writes the set's index if all its files are there. Files of other shards are checked first.
+///
+/// # Errors
+/// A file of another shard is damaged; one of this shard is missing.
+fn index(
+    recipe: &Recipe,
+    files: u64,
+    job: &str,
+    (out, shard): (&Path, Shard),
+    control: &Control,
+) -> Result<Option<PathBuf>> {
+    let own = |file: u64| file % u64::from(shard.of) == u64::from(shard.shard);
     let mut found = Vec::new();
     for file in 0..files {
-        match whole(out, file, job)? {
+        match indexed(out, file, job)? {
             Some(index) => found.push(index),
+            None if own(file) => {
+                let path = out.join(name(file));
+                let lost = io::Error::other("it, or its index, was lost or changed meanwhile");
+                return Err(Error::io("read", &path)(lost));
+            }
             None => return Ok(None),
+        }
+    }
+    for (file, index) in found.iter().enumerate() {
+        let file = file as u64;
+        if !own(file) && !is_sound(out, index, control)? {
+            let expected = format!(
+                "a file with the SHA-256 of its index; run shard {} of {} again",
+                file % u64::from(shard.of),
+                shard.of
+            );
+            let found = "other bytes";
+            return Err(
+                InputError::new(&out.join(&index.file), Place::File, found, expected).into(),
+            );
         }
     }
     let path = out.join("index.json");
@@ -249,8 +333,8 @@ fn index(recipe: &Recipe, files: u64, job: &str, out: &Path) -> Result<Option<Pa
         files: found,
     };
     write_json(&path, &set)?;
-    // What killed runs left.
-    files::remove_all(out, |name| name.ends_with(files::PART))?;
+    // Unfinished files of killed runs.
+    remove_unfinished(out, &names(files))?;
     Ok(Some(path))
 }
 

@@ -11,14 +11,16 @@ mod record;
 mod table;
 
 use super::journal::{Journal, Records, checksum};
+use super::output_folder::{Names, OutputFolder, remove_unfinished};
 use super::ready;
 use super::reason::Warning;
 use super::recipe::Values;
 use super::scan::summed_up;
-use super::shards::{Shard, attempt, ranges};
+use super::shards::{Shard, attempt, ranges, runs};
 use super::simulation::Simulation;
 use super::{Control, Coverage, check_frames, files, need};
-use crate::error::{Error, InputError, Place, Result};
+use crate::error::input_file::{self, LARGEST_TEXT};
+use crate::error::{Error, InputError, Place, Result, printable};
 use crate::scene::Scene;
 use figures::{Figures, figures};
 use places::{Places, of_part};
@@ -53,8 +55,10 @@ pub struct SweepSummary {
     /// Those that the scene cannot have, of all that are there.
     pub refused: u64,
     /// `sweep.csv`, if no place is missing.
+    #[serde(serialize_with = "printable::some_in_json")]
     pub table: Option<PathBuf>,
     /// `sweep.svg`, if no place is missing.
+    #[serde(serialize_with = "printable::some_in_json")]
     pub plots: Option<PathBuf>,
 }
 
@@ -73,15 +77,15 @@ struct Sweep {
 /// # Errors
 /// A mistake in the sweep's file or in the scene as it is; files of another sweep in `out`; every place refused; a plot
 /// of what there is not.
-pub fn sweep(
+pub fn sweep<'a>(
     path: &Path,
     shard: Shard,
     plots: &[Plot],
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<SweepSummary> {
     let sweep = Sweep::read(path, control)?;
-    files::create_folder(out)?;
+    let out = sweep.claim(out.into())?;
     let (mut done, _) = sweep.read_records(out)?;
     let own = (u64::from(shard.shard)..sweep.places.count()).step_by(shard.of as usize);
     let left: Vec<u64> = own
@@ -108,20 +112,21 @@ pub fn sweep(
 ///
 /// # Errors
 /// As [`sweep`]; and `Error::Input` that names the shards of which places are missing, as an array of jobs has it.
-pub fn sweep_merge(
+pub fn sweep_merge<'a>(
     path: &Path,
     plots: &[Plot],
-    out: &Path,
+    out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<SweepSummary> {
     let sweep = Sweep::read(path, control)?;
-    let (done, of) = sweep.read_records(out)?;
+    let out = out.into();
+    let (done, of) = sweep.read_records(out.path)?;
     let missing = (0..sweep.places.count()).filter(|place| !done.contains_key(place));
     let mut shards: Vec<u32> = missing
         .map(|place| (place % u64::from(of)) as u32)
         .collect();
     if shards.is_empty() {
-        return sweep.written(&done, 0, plots, out);
+        return sweep.written(&done, 0, plots, sweep.claim(out)?);
     }
     let found = format!(
         "{} of {} places missing",
@@ -132,9 +137,9 @@ pub fn sweep_merge(
     shards.dedup();
     let expected = format!(
         "all of them; run these shards of {of} again: --array={}",
-        ranges(&shards)
+        ranges(runs(&shards))
     );
-    Err(InputError::new(&folder(out), Place::File, found, expected).into())
+    Err(InputError::new(&folder(out.path), Place::File, found, expected).into())
 }
 
 /// How many places a shard of a sweep has, for a progress bar.
@@ -149,12 +154,15 @@ fn folder(out: &Path) -> PathBuf {
     out.join("places")
 }
 
+/// Files that are written when all places are finished.
+const TABLES: [&str; 2] = ["sweep.csv", "sweep.svg"];
+
 impl Sweep {
     fn read(path: &Path, control: &Control) -> Result<Sweep> {
         let places = Places::read(path)?;
         let file = places.written.beside(&places.scene);
         let scene = Scene::load_watched(&file, &|_| control.check())?;
-        let text = std::fs::read_to_string(&file).map_err(Error::io("read", &file))?;
+        let text = input_file::read_text(&file, LARGEST_TEXT, "a scene (TOML)")?;
         Ok(Sweep {
             job: job(&places, &scene),
             text: Value::Table(text.parse().expect("the scene was read from it")),
@@ -163,16 +171,22 @@ impl Sweep {
         })
     }
 
+    /// The folder, whose lists have the names that this run writes.
+    fn claim<'a>(&self, out: OutputFolder<'a>) -> Result<&'a Path> {
+        let mut inputs = self.scene.inputs.to_vec();
+        inputs.push(self.places.written.path.clone());
+        inputs.extend(named_files(&self.places).into_values());
+        let journal = format!("places/{}.journal", attempt());
+        let names = Names::of(TABLES.map(str::to_owned).into_iter().chain([journal]));
+        Ok(out.claim(&inputs, &names)?.path)
+    }
+
     /// The places that some run has finished, and of how many shards the runs spoke.
     fn read_records(&self, out: &Path) -> Result<(BTreeMap<u64, Record>, u32)> {
         let (mut done, mut of) = (BTreeMap::new(), 1);
         let folder = folder(out);
-        let entries = match std::fs::read_dir(&folder) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((done, of)),
-            entries => entries.map_err(Error::io("read folder", &folder))?,
-        };
-        for entry in entries {
-            let path = entry.map_err(Error::io("read folder", &folder))?.path();
+        for name in files::names_in(&folder)? {
+            let path = folder.join(name);
             if path.extension().is_none_or(|ending| ending != "journal") {
                 continue;
             }
@@ -190,6 +204,9 @@ impl Sweep {
             }
             of = of.max(header.shard.of);
             while let Some(record) = records.next::<Record>()? {
+                if record.place >= self.places.count() {
+                    break;
+                }
                 done.insert(record.place, record);
             }
         }
@@ -370,6 +387,8 @@ impl Sweep {
             .into());
         }
         summary.plots = table::write_plots(&out.join("sweep.svg"), &self.places, &rows, plots)?;
+        // Unfinished files of killed runs.
+        remove_unfinished(out, &Names::of(TABLES))?;
         Ok(summary)
     }
 }
@@ -382,29 +401,28 @@ fn job(places: &Places, scene: &Scene) -> String {
         places.written.text.clone(),
         scene.hash.clone(),
     ];
-    // Files that values name, of a sensor or a mesh.
-    let folder = places.written.beside(&places.scene);
-    let mut names = BTreeSet::new();
-    for place in 0..places.count() {
-        names.extend(
-            places
-                .values(place)
-                .into_values()
-                .filter_map(|value| match value {
-                    Value::String(name) => Some(name),
-                    _ => None,
-                }),
-        );
-    }
-    for name in names {
-        let file = folder.with_file_name(&name);
-        if file.is_file()
-            && let Ok(bytes) = std::fs::read(file)
-        {
+    for (name, file) in named_files(places) {
+        if let Ok(bytes) = std::fs::read(file) {
             let sum = checksum(&bytes).map(|byte| format!("{byte:02x}")).concat();
             parts.push(format!("{name}={sum}"));
         }
     }
     let sum = checksum(parts.join("\n").as_bytes());
     sum[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Files that values name, of a sensor or a mesh, by their names in the sweep.
+fn named_files(places: &Places) -> BTreeMap<String, PathBuf> {
+    let folder = places.written.beside(&places.scene);
+    let values = (0..places.count()).flat_map(|place| places.values(place).into_values());
+    let names = values.filter_map(|value| match value {
+        Value::String(name) => Some(name),
+        _ => None,
+    });
+    let names: BTreeSet<String> = names.collect();
+    let files = names
+        .into_iter()
+        .map(|name| (folder.with_file_name(&name), name));
+    let files = files.filter(|(file, _)| file.is_file());
+    files.map(|(file, name)| (name, file)).collect()
 }

@@ -1,6 +1,7 @@
 //! What is kept of a place.
 
 use super::figures::Figures;
+use crate::run::journal;
 use serde::{Deserialize, Serialize};
 
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
@@ -17,6 +18,13 @@ pub enum Outcome {
     Good,
     Warned,
     Refused,
+}
+
+impl journal::Record for Record {
+    /// Whether all figures are finite.
+    fn is_sound(&self) -> bool {
+        self.figures.values().all(|figure| figure.is_finite())
+    }
 }
 
 impl Record {

@@ -6,13 +6,14 @@ mod layout;
 pub use layout::{Artefact, Artefacts, Placing, Volume};
 
 use super::sensor_scene::SensorScene;
-use crate::error::Result;
+use crate::error::{Result, printable};
 use crate::inspect::acceptance::{Characteristic, Named};
 use crate::inspect::artefact::{Cap, Sphere, plane_residuals, shell};
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
 use crate::report::accept_plot::{self, Placed};
+use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, Coverage, SensorFigures, files, ready};
 use crate::scene::{LimitsTable, Motion, Moves, ScanPath, Scene};
@@ -60,6 +61,7 @@ struct Part {
 #[derive(Debug, Serialize)]
 pub struct AcceptSummary {
     /// The sensor's file, or a scene.
+    #[serde(serialize_with = "printable::in_json")]
     pub sensor: PathBuf,
     /// What this is and is not.
     pub nature: &'static str,
@@ -80,6 +82,7 @@ pub struct AcceptSummary {
     /// What makes less of the results; empty for a good test.
     pub warnings: Vec<String>,
     /// The page.
+    #[serde(serialize_with = "printable::in_json")]
     pub report: PathBuf,
 }
 
@@ -163,8 +166,15 @@ impl Acceptance {
     }
 
     /// Runs the test with `seeds` seeds from the sensor's own on, and writes `accept.json` and `report.html`.
-    pub fn run(&self, seeds: u64, out: &Path, control: &Control) -> Result<AcceptSummary> {
-        files::create_folder(out)?;
+    pub fn run<'a>(
+        &self,
+        seeds: u64,
+        out: impl Into<OutputFolder<'a>>,
+        control: &Control,
+    ) -> Result<AcceptSummary> {
+        let inputs = [&self.plate.scene.inputs[..], &[self.sensor.clone()]].concat();
+        let names = Names::of(["accept.json", "report.html"]);
+        let out = out.into().claim(&inputs, &names)?.path;
         let characteristics = self.characteristics(seeds, control)?;
         let summary = AcceptSummary {
             sensor: self.sensor.clone(),
