@@ -8,6 +8,7 @@ use super::sensor_figures::SensorFigures;
 use super::simulation::Simulation;
 use super::warnings::{Foreseen, foreseen_of, unit_doubtful};
 use super::{Control, files};
+use crate::error::input_file::{self, LARGEST_TEXT};
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::mesh::{self, UnitBy, unit_by};
@@ -199,7 +200,7 @@ impl Copies {
         Ok(Copies {
             name,
             part: bytes,
-            sensor: files::read_regular(sensor, "the file of a sensor (TOML)")?,
+            sensor: input_file::read(sensor, LARGEST_TEXT, "the file of a sensor (TOML)")?,
             needed: needed.collect::<Result<_>>()?,
         })
     }
