@@ -34,6 +34,171 @@ pub enum Processing {
     Moving(f64),
 }
 
+impl Processing {
+    fn drawn(random: &mut Random, i: usize) -> Processing {
+        match (i / 4) % 5 {
+            0 => Processing::None,
+            1 if i < SCENES / 2 => Processing::Median(2 * random.choice(4) as u32 + 3),
+            1 if random.between(0.0, 1.0) < 0.5 => Processing::Mean(5),
+            1 => Processing::Median(2 * random.choice(4) as u32 + 3),
+            2 => Processing::Average {
+                frames: 2 + random.choice(4) as u32,
+                step: random.scale(0.3, 2.5),
+            },
+            3 => Processing::Exposures,
+            _ => Processing::Moving(random.scale(0.3, 4.0)),
+        }
+    }
+
+    /// Its keys of `[measure]`.
+    fn measure(self) -> String {
+        match self {
+            Processing::Median(columns) => format!("median_columns = {columns}\n"),
+            Processing::Mean(columns) => format!("mean_columns = {columns}\n"),
+            Processing::Average { frames, .. } => format!("average_frames = {frames}\n"),
+            _ => String::new(),
+        }
+    }
+}
+
+/// Lens and line.
+struct Optics {
+    focal: f64,
+    magnification: f64,
+    pitch_um: f64,
+    f_number: f64,
+    grain_px: f64,
+    sigma_px: f64,
+    blur: f64,
+    /// 1/e² radius of the laser, mm.
+    waist: f64,
+}
+
+impl Optics {
+    fn drawn(random: &mut Random, angles: [f64; 2], line: Option<[f64; 2]>) -> Optics {
+        let focal = random.between(20.0, 50.0);
+        let magnification = focal / (DISTANCE - focal);
+        let pitch_um = random.between(4.0, 6.0);
+        let grain_px = random.scale(0.7, 3.0);
+        let drawn = (grain_px * random.scale(0.7, 5.0)).clamp(0.9, 8.0);
+        let sigma_px = line.map_or(drawn, |[grains, _]| grains * grain_px);
+        let [cos_laser, cos_camera] = angles.map(|angle| angle.to_radians().cos());
+        let half_width = 2e-3 * sigma_px * pitch_um / magnification;
+        let blur = match random.choice(3) {
+            0 => random.between(-1.5, 1.5),
+            _ => 0.0,
+        };
+        Optics {
+            focal,
+            magnification,
+            pitch_um,
+            f_number: grain_px * pitch_um / (WAVELENGTH_UM * (1.0 + magnification)),
+            grain_px,
+            sigma_px,
+            blur: line.map_or(blur, |[_, blur]| blur),
+            waist: half_width * cos_laser / cos_camera,
+        }
+    }
+
+    /// Keys of the camera and the laser, and their description.
+    fn lens(&self, random: &mut Random) -> (String, String) {
+        let defocus = self.blur * self.sigma_px * self.pitch_um * 1e-3 * self.f_number * DISTANCE
+            / (self.focal * self.focal * (1.0 + self.magnification));
+        let mut lens = format!("focus_distance_mm = {}\n", DISTANCE + defocus);
+        let mut extras = String::new();
+        match random.choice(4) {
+            0 => {
+                let tilt = [random.between(-15.0, 15.0), random.between(-15.0, 15.0)];
+                let _ = writeln!(lens, "tilt_deg = {tilt:?}");
+                let _ = write!(extras, "tilt {:.0}°, {:.0}° ", tilt[0], tilt[1]);
+            }
+            1 if self.blur == 0.0 => {
+                lens = "focus = \"laser-plane\"\n".to_owned();
+                extras += "Scheimpflug ";
+            }
+            _ => {}
+        }
+        if random.choice(3) == 0 {
+            // Up to 2 % at the middle of the sensor's side.
+            let radius = f64::from(COLUMNS / 2) * self.pitch_um * 1e-3 / self.focal;
+            let k1 = random.between(-0.02, 0.02) / radius.powi(2);
+            let p1 = random.between(-0.01, 0.01) / radius;
+            let _ = writeln!(lens, "distortion = {{ k1 = {k1}, p1 = {p1} }}");
+            extras += "distortion ";
+        }
+        match random.choice(4) {
+            0 => {
+                lens += "aperture = \"square\"\n";
+                extras += "square pupil ";
+            }
+            1 => {
+                lens += "aperture = { ellipse = 0.7 }\n";
+                extras += "elliptic pupil ";
+            }
+            _ => {}
+        }
+        (lens, extras)
+    }
+}
+
+/// A plane that is scanned within itself. Angles in degrees.
+struct Plane {
+    tilt: f64,
+    camera_to_laser: f64,
+    step: f64,
+    frames: u32,
+}
+
+impl Plane {
+    /// All tables but `[measure]`.
+    fn scene(&self, random: &mut Random, optics: &Optics, lens: &str, speckle: bool) -> String {
+        let &Plane { step, frames, .. } = self;
+        let patterns = [1, 1, 1, 3][random.choice(4)];
+        // Rows a column, so that the line crosses pixels everywhere.
+        let climb = random.between(0.05, 0.15) * if random.choice(2) == 0 { 1.0 } else { -1.0 };
+        let full_well = random.scale(8e3, 3e4);
+        let angle = self.camera_to_laser.to_radians();
+        let turn = (climb / angle.sin()).atan();
+        // Across the sheet within the plane, whose normal is (cos t·sin β, −sin t, cos t·cos β).
+        let tilt = self.tilt.to_radians();
+        let [cos, sin] = [tilt.cos() * turn.cos(), tilt.sin()];
+        let [cos, sin] = [cos, sin].map(|part| part / cos.hypot(sin));
+        // The plane's own axis across the sheet runs aside where it is turned.
+        let long = 60.0 + 2.0 * step * f64::from(frames);
+        let wide = long * tilt.tan().abs().max(1.0);
+        let Optics {
+            focal,
+            f_number,
+            pitch_um,
+            ..
+        } = optics;
+        format!(
+            "[part]\nplane = {{ size_mm = [{wide}, {long}] }}\nrotation_deg = [{tilt}, {turn}, 0]\nreflectance = 0.5\n\
+             [laser]\nwavelength_nm = 660\npower_mw = 5\nwaist_radius_um = {waist_um}\nwaist_distance_mm = {DISTANCE}\n\
+             independent_patterns = {patterns}\nposition_mm = [0, 0, {DISTANCE}]\ndirection = [0, 0, -1]\n\
+             line = {{ fan_deg = 6, profile = \"uniform\", direction = [1, 0, 0] }}\n\
+             [camera]\nfocal_length_mm = {focal}\nf_number = {f_number}\n{lens}\
+             resolution_px = [{COLUMNS}, 256]\npixel_pitch_um = {pitch_um}\n\
+             position_mm = [0, {y}, {z}]\nlook_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\n\
+             exposure = \"auto\"\nexposure_share = {share}\nquantum_efficiency = 0.5\n\
+             gain_dn_per_e = {gain}\nbit_depth = 12\nfull_well_e = {full_well}\nblack_level_dn = 40\n\
+             read_noise_e = {read_noise}\nprnu_percent = {prnu}\ndsnu_e = {dsnu}\n\
+             [scan]\ndirection = [0, {cos}, {sin}]\nstep_mm = {step}\nframes = {frames}\n",
+            tilt = self.tilt,
+            turn = turn.to_degrees(),
+            waist_um = 1e3 * optics.waist,
+            y = -DISTANCE * angle.sin(),
+            z = DISTANCE * angle.cos(),
+            // With speckle grains far brighter than the line's middle must not saturate.
+            share = if speckle { 0.12 } else { 0.5 },
+            gain = 4000.0 / full_well,
+            read_noise = random.scale(3.0, 20.0),
+            prnu = random.between(0.0, 1.0),
+            dsnu = random.between(0.0, 5.0),
+        )
+    }
+}
+
 /// A plane under a sensor, both random.
 pub struct DrawnScene {
     /// Angles between the plane's normal and the laser, and the camera, degrees.
@@ -58,7 +223,7 @@ impl DrawnScene {
         DrawnScene::with_line(seed, i, None)
     }
 
-    /// The same with a line of so many grains and a blur of so many standard deviations of it.
+    /// Scene `i` with a line of the given number of grains, and a blur of the given number of its standard deviations.
     pub fn with_line(seed: u64, i: usize, line: Option<[f64; 2]>) -> DrawnScene {
         let mut random = Random::new(1000 * seed + i as u64);
         let camera_to_laser = random.between(20.0, 50.0);
@@ -68,137 +233,43 @@ impl DrawnScene {
             2 => camera_to_laser - random.between(60.0, 78.0),
             _ => camera_to_laser - random.between(78.0, 85.0),
         };
-        let processing = match (i / 4) % 5 {
-            0 => Processing::None,
-            1 if i < SCENES / 2 => Processing::Median(2 * random.choice(4) as u32 + 3),
-            1 if random.between(0.0, 1.0) < 0.5 => Processing::Mean(5),
-            1 => Processing::Median(2 * random.choice(4) as u32 + 3),
-            2 => Processing::Average {
-                frames: 2 + random.choice(4) as u32,
-                step: random.scale(0.3, 2.5),
-            },
-            3 => Processing::Exposures,
-            _ => Processing::Moving(random.scale(0.3, 4.0)),
-        };
+        let processing = Processing::drawn(&mut random, i);
         let speckle = random.between(0.0, 1.0) < 0.85;
-        let [laser, camera] = [tilt, tilt - camera_to_laser].map(f64::abs);
-        let focal = random.between(20.0, 50.0);
-        let magnification = focal / (DISTANCE - focal);
-        let pitch_um = random.between(4.0, 6.0);
-        let grain_px = random.scale(0.7, 3.0);
-        let f_number = grain_px * pitch_um / (WAVELENGTH_UM * (1.0 + magnification));
-        let drawn = (grain_px * random.scale(0.7, 5.0)).clamp(0.9, 8.0);
-        let sigma_px = line.map_or(drawn, |[grains, _]| grains * grain_px);
-        let [cos_laser, cos_camera] = [laser, camera].map(|angle| angle.to_radians().cos());
-        let half_width = 2e-3 * sigma_px * pitch_um / magnification;
-        let waist = half_width * cos_laser / cos_camera;
-        let blur = match random.choice(3) {
-            0 => random.between(-1.5, 1.5),
-            _ => 0.0,
-        };
-        let blur = line.map_or(blur, |[_, blur]| blur);
-        let defocus = blur * sigma_px * pitch_um * 1e-3 * f_number * DISTANCE
-            / (focal * focal * (1.0 + magnification));
-        let mut lens = format!("focus_distance_mm = {}\n", DISTANCE + defocus);
-        let mut extras = String::new();
-        match random.choice(4) {
-            0 => {
-                let tilt = [random.between(-15.0, 15.0), random.between(-15.0, 15.0)];
-                let _ = writeln!(lens, "tilt_deg = {tilt:?}");
-                let _ = write!(extras, "tilt {:.0}°, {:.0}° ", tilt[0], tilt[1]);
-            }
-            1 if blur == 0.0 => {
-                lens = "focus = \"laser-plane\"\n".to_owned();
-                extras += "Scheimpflug ";
-            }
-            _ => {}
-        }
-        if random.choice(3) == 0 {
-            // Up to 2 % at the middle of the sensor's side.
-            let radius = f64::from(COLUMNS / 2) * pitch_um * 1e-3 / focal;
-            let k1 = random.between(-0.02, 0.02) / radius.powi(2);
-            let p1 = random.between(-0.01, 0.01) / radius;
-            let _ = writeln!(lens, "distortion = {{ k1 = {k1}, p1 = {p1} }}");
-            extras += "distortion ";
-        }
-        match random.choice(4) {
-            0 => {
-                lens += "aperture = \"square\"\n";
-                extras += "square pupil ";
-            }
-            1 => {
-                lens += "aperture = { ellipse = 0.7 }\n";
-                extras += "elliptic pupil ";
-            }
-            _ => {}
-        }
-        let patterns = [1, 1, 1, 3][random.choice(4)];
-        if patterns > 1 {
-            extras += "3 patterns ";
-        }
-        // Rows a column, so that the line crosses pixels everywhere.
-        let climb = random.between(0.05, 0.15) * if random.choice(2) == 0 { 1.0 } else { -1.0 };
-        let full_well = random.scale(8e3, 3e4);
+        let angles = [tilt, tilt - camera_to_laser].map(f64::abs);
+        let optics = Optics::drawn(&mut random, angles, line);
+        let (lens, extras) = optics.lens(&mut random);
         // Far enough apart for grains of their own.
         let apart = 12.0;
-        let (average, across, stride) = match processing {
+        let (across, stride) = match processing {
             Processing::Average { frames, step } => {
                 let groups = (apart / step / f64::from(frames)).ceil() as u32;
-                (frames, step, groups.max(1) * frames)
+                (step, groups.max(1) * frames)
             }
-            _ => (1, apart, 1),
+            _ => (apart, 1),
         };
-        let step = across * waist / 2.0 / cos_laser;
-        let turn = (climb / camera_to_laser.to_radians().sin()).atan();
-        // Across the sheet within the plane, whose normal is (cos t·sin β, −sin t, cos t·cos β).
-        let tilt_rad = tilt.to_radians();
-        let [cos, sin] = [tilt_rad.cos() * turn.cos(), tilt_rad.sin()];
-        let [cos, sin] = [cos, sin].map(|part| part / cos.hypot(sin));
-        let frames = GROUPS * stride;
-        // The plane's own axis across the sheet runs aside where it is turned.
-        let long = 60.0 + 2.0 * step * f64::from(frames);
-        let wide = long * tilt_rad.tan().abs().max(1.0);
-        let measure = match processing {
-            Processing::Median(columns) => format!("median_columns = {columns}"),
-            Processing::Mean(columns) => format!("mean_columns = {columns}"),
-            Processing::Average { frames, .. } => format!("average_frames = {frames}"),
-            _ => String::new(),
+        let plane = Plane {
+            tilt,
+            camera_to_laser,
+            step: across * optics.waist / 2.0 / angles[0].to_radians().cos(),
+            frames: GROUPS * stride,
         };
-        let angle = camera_to_laser.to_radians();
-        // Light enough for the counts of a line at a slant.
-        let share = if speckle { 0.12 } else { 0.5 };
         let text = format!(
-            "seed = 1\nspeckle = {speckle}\n\
-             [part]\nplane = {{ size_mm = [{wide}, {long}] }}\nrotation_deg = [{tilt}, {turn}, 0]\nreflectance = 0.5\n\
-             [laser]\nwavelength_nm = 660\npower_mw = 5\nwaist_radius_um = {waist_um}\nwaist_distance_mm = {DISTANCE}\n\
-             independent_patterns = {patterns}\nposition_mm = [0, 0, {DISTANCE}]\ndirection = [0, 0, -1]\n\
-             line = {{ fan_deg = 6, profile = \"uniform\", direction = [1, 0, 0] }}\n\
-             [camera]\nfocal_length_mm = {focal}\nf_number = {f_number}\n{lens}\
-             resolution_px = [{COLUMNS}, 256]\npixel_pitch_um = {pitch_um}\n\
-             position_mm = [0, {y}, {z}]\nlook_at_mm = [0, 0, 0]\ncolumns = [1, 0, 0]\n\
-             exposure = \"auto\"\nexposure_share = {share}\nquantum_efficiency = 0.5\n\
-             gain_dn_per_e = {gain}\nbit_depth = 12\nfull_well_e = {full_well}\nblack_level_dn = 40\n\
-             read_noise_e = {read_noise}\nprnu_percent = {prnu}\ndsnu_e = {dsnu}\n\
-             [scan]\ndirection = [0, {cos}, {sin}]\nstep_mm = {step}\nframes = {frames}\n[measure]\n{measure}\n",
-            turn = turn.to_degrees(),
-            waist_um = 1e3 * waist,
-            y = -DISTANCE * angle.sin(),
-            z = DISTANCE * angle.cos(),
-            gain = 4000.0 / full_well,
-            read_noise = random.scale(3.0, 20.0),
-            prnu = random.between(0.0, 1.0),
-            dsnu = random.between(0.0, 5.0),
+            "seed = 1\nspeckle = {speckle}\n{}[measure]\n{}",
+            plane.scene(&mut random, &optics, &lens, speckle),
+            processing.measure(),
         );
-        assert_eq!(average, measure_frames(processing));
         DrawnScene {
-            angles: [laser, camera],
-            sigma_px,
-            grain_px,
-            blur,
+            angles,
+            sigma_px: optics.sigma_px,
+            grain_px: optics.grain_px,
+            blur: optics.blur,
             speckle,
             processing,
             stride,
-            extras,
+            extras: match text.contains("independent_patterns = 3") {
+                true => extras + "3 patterns",
+                false => extras,
+            },
             text,
             share: 1.0 / apart,
         }
@@ -252,13 +323,12 @@ impl DrawnScene {
 
     /// The same scene under another processing.
     pub fn processed(self, processing: Processing) -> DrawnScene {
-        let average = match processing {
-            Processing::Average { frames, .. } => format!("average_frames = {frames}\n"),
-            Processing::Median(columns) => format!("median_columns = {columns}\n"),
-            _ => String::new(),
-        };
         let measure = self.text.find("[measure]").unwrap();
-        let text = format!("{}[measure]\n{average}", &self.text[..measure]);
+        let text = format!(
+            "{}[measure]\n{}",
+            &self.text[..measure],
+            processing.measure()
+        );
         DrawnScene {
             processing,
             text,
