@@ -26,7 +26,7 @@ struct Ratios {
 }
 
 /// Fractions of a row's variance that are noise, which differs in each image. The first represents no noise.
-const SHARES: [f64; 6] = [1e-4, 0.03, 0.1, 0.3, 0.6, 1.0];
+const SHARES: [f64; 7] = [1e-4, 0.01, 0.04, 0.1, 0.3, 0.6, 1.0];
 /// Rows a column that the line climbs, in standard deviations of a row.
 const CLIMBS: [f64; 8] = [0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4];
 /// Windows drawn: the ratio of two variances of the same windows is then good to 2 %, the standard deviation to 1 %.
@@ -59,7 +59,9 @@ impl MedianVariance {
             self.over_mean.map(|r| at(climb, &CLIMBS, &r.all)),
             self.over_mean.map(|r| at(climb, &CLIMBS, &r.noise)),
         ];
-        [all, noise].map(|values| at(noise_share, &SHARES, &values))
+        // Rows that noise reorders are as frequent as noise is wide, the root of its variance.
+        let roots = SHARES.map(f64::sqrt);
+        [all, noise].map(|values| at(noise_share.sqrt(), &roots, &values))
     }
 
     /// Returns the ratio of the sums of covariances over all lags, which determine the variance of long means.
@@ -196,7 +198,8 @@ mod tests {
     }
 
     /// Where the order of the rows is decided by speckle, the median has the noise of one row, n times the noise of the mean.
-    /// The ratio of total variances is 1.49.
+    /// The ratio of total variances is 1.49. Noise of a hundredth of the speckle reorders the central rows of nine, which lie
+    /// 0.3 of the speckle apart, in some 10 % of windows; their noise is then halved, which takes 5 %.
     #[test]
     fn a_median_that_speckle_chooses_has_the_noise_of_one_row() {
         for columns in [3, 5, 9] {
@@ -204,7 +207,7 @@ mod tests {
             for climb in [0.0, 0.5, 4.0] {
                 let [_, noise] = found.over_mean(climb, 1e-4);
                 let of_one = noise / columns as f64;
-                assert!((of_one - 1.0).abs() < 0.06, "{columns}, {climb}: {of_one}");
+                assert!((of_one - 1.0).abs() < 0.1, "{columns}, {climb}: {of_one}");
             }
         }
     }
