@@ -375,8 +375,8 @@ fn the_intrinsics_of_a_set_project_its_points_to_their_pixels() {
                 .collect();
             let [k1, k2, p1, p2, k3] = numbers(&about["camera"]["distortion"]).try_into().unwrap();
             let points = array(&npz, "points.npy");
-            assert!(points.len() > 98 * 30);
-            for point in points.chunks_exact(98) {
+            assert!(points.len() > 106 * 30);
+            for point in points.chunks_exact(106) {
                 let float = |at: usize| f64::from_le_bytes(point[at..at + 8].try_into().unwrap());
                 let column = u32::from_le_bytes(point[4..8].try_into().unwrap());
                 let place = [float(32), float(40), float(48)];

@@ -46,10 +46,10 @@ fn points(folder: &Path) -> Vec<Point> {
             deviation_sigma: float(8),
             repeatability: float(9),
             correlation_length: float(10),
-            flags: u16::from_le_bytes(row[96..98].try_into().unwrap()),
+            flags: u16::from_le_bytes(row[104..106].try_into().unwrap()),
         }
     };
-    bytes[start..].chunks_exact(98).map(point).collect()
+    bytes[start..].chunks_exact(106).map(point).collect()
 }
 
 fn scanned(measure: &str) -> Vec<Point> {

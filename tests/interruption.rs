@@ -97,7 +97,7 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
             let text = String::from_utf8_lossy(&bytes[10..header]).into_owned();
             let points = text.split("'shape': (").nth(1).unwrap();
             let points: usize = points.split(',').next().unwrap().parse().unwrap();
-            bytes.len() - header == points * 98
+            bytes.len() - header == points * 106
         }
         "ply" => {
             let text = text();

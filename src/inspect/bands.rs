@@ -285,6 +285,7 @@ mod tests {
             deviation_sigma,
             repeatability: 0.0,
             correlation_length: 0.0,
+            scan_correlation_length: 0.0,
             direct: 1.0,
             intensity: 100.0,
             frame: 0,

@@ -24,6 +24,11 @@ pub struct CloudPoint {
     /// the correlation of errors k columns apart. The mean over a length L of the profile has a standard uncertainty
     /// of `sigma`·√(correlation_length/L), for L well above it.
     pub correlation_length: f64,
+    /// Length along the scan within which errors are alike, mm: the distance of frames times Σ_k ρ_k, with ρ_k the correlation
+    /// of errors at a lag of k frames. The mean over a length L of profiles and a way S of the scan has a standard
+    /// uncertainty of `sigma`·√(correlation_length/L · scan_correlation_length/S), for L and S well above them. Errors of
+    /// neighbouring frames may differ in sign, which makes the length far smaller than the distance of frames.
+    pub scan_correlation_length: f64,
     /// Standard uncertainty of the deviation, mm: the part of `sigma` that lies
     /// along the surface's normal, and what the scene says of its triangles' chord.
     pub deviation_sigma: f64,

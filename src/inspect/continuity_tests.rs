@@ -45,6 +45,7 @@ pub fn slope(frames: u32, step: f64) -> Vec<CloudPoint> {
             deviation_sigma: SIGMA,
             repeatability: SIGMA,
             correlation_length: 0.05,
+            scan_correlation_length: 0.05,
             intensity: 1000.0,
             frame,
             column,

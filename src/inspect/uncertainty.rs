@@ -35,6 +35,11 @@ pub struct UncertaintyStatistics {
     pub median_repeatability_um: f64,
     /// Median of the lengths along the profile within which errors are alike, µm.
     pub median_correlation_length_um: f64,
+    /// Median of the same lengths along the scan, µm.
+    pub median_scan_correlation_length_um: f64,
+    /// Correlations of the errors of a place in profiles 0, 1, 2, … apart, for a typical point, noise included. The mean over n
+    /// neighbouring profiles has the variance of one times Σ_ij ρ_|i−j|/n².
+    pub correlation_over_profiles: Vec<f64>,
     /// Share whose deviation is within 1.96 times its own standard uncertainty: 0.95
     /// of a part that is as its CAD says, less of any other.
     pub within_95: f64,
@@ -42,7 +47,10 @@ pub struct UncertaintyStatistics {
 
 impl UncertaintyStatistics {
     /// `None` without such points.
-    pub fn of(points: &[CloudPoint]) -> Option<UncertaintyStatistics> {
+    pub fn of(
+        points: &[CloudPoint],
+        correlation_over_profiles: Vec<f64>,
+    ) -> Option<UncertaintyStatistics> {
         let points = || points.iter().filter(|p| p.flags.is_empty());
         let median = |of: &dyn Fn(&CloudPoint) -> f64| {
             let mut values: Vec<f64> = points().map(|p| of(p) * 1e3).collect();
@@ -55,6 +63,8 @@ impl UncertaintyStatistics {
             median_sigma_um: median(&|p| p.sigma)?,
             median_repeatability_um: median(&|p| p.repeatability)?,
             median_correlation_length_um: median(&|p| p.correlation_length)?,
+            median_scan_correlation_length_um: median(&|p| p.scan_correlation_length)?,
+            correlation_over_profiles,
             within_95: within.count() as f64 / points().count() as f64,
         })
     }

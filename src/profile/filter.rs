@@ -71,6 +71,45 @@ pub struct ProfileRow {
     pub speckle: f64,
     /// What each image draws anew, px.
     pub noise: f64,
+    /// How `speckle` correlates with that of frames in which the surface lies elsewhere.
+    pub drift: Drift,
+    /// Mean variance of the frames' rows over that of their mean; 1 for a single frame.
+    pub averaged: f64,
+}
+
+/// How errors by speckle correlate while the surface moves across the laser sheet.
+///
+/// A pattern that moves by u standard deviations of the line under the line gives rows that correlate by
+/// exp(−a·u²)·(1 − c·u²). For grains much finer than the line a = ¼ and c = ½.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drift {
+    /// a.
+    pub decay: f64,
+    /// c.
+    pub turn: f64,
+}
+
+impl Drift {
+    /// The limit of grains much finer than the line.
+    pub const FINE: Drift = Drift {
+        decay: 0.25,
+        turn: 0.5,
+    };
+
+    /// Correlation of the errors of one place in two frames.
+    pub fn correlation(&self, step: &FrameStep) -> f64 {
+        let square = step.across.powi(2);
+        step.kept * (-self.decay * square).exp() * (1.0 - self.turn * square)
+    }
+}
+
+/// Change of speckle from one frame to another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameStep {
+    /// Way of the surface across the laser sheet, in standard deviations of its light.
+    pub across: f64,
+    /// Correlation of the light that remains where the surface does not move across the sheet.
+    pub kept: f64,
 }
 
 /// A row as it is delivered.
@@ -84,6 +123,8 @@ pub struct DeliveredRow {
     pub noise: f64,
     /// Σ_k ρ_k over the correlation of delivered errors k columns apart.
     pub correlated_columns: f64,
+    /// As of a [`ProfileRow`].
+    pub averaged: f64,
     /// Whether it fills a gap.
     pub filled: bool,
     /// Whether smoothing moved it further than noise does.
@@ -94,9 +135,10 @@ pub struct DeliveredRow {
 #[derive(Debug, Clone)]
 pub struct ProfileFilter {
     filters: Filters,
-    /// Correlation of `speckle` over columns and over frames, from 0 apart on.
+    /// Correlation of `speckle` over columns, from 0 apart on.
     columns: Vec<f64>,
-    frames: Vec<f64>,
+    /// From frames 0 apart on.
+    frames: Vec<FrameStep>,
     median: Option<MedianVariance>,
     calibration: Calibration,
 }
@@ -107,8 +149,9 @@ struct Sample {
     place: DVec2,
     /// Of the averaged rows, by index, in rising order.
     weights: Vec<(usize, f64)>,
-    /// Variance over that of the weighted sum; and the same of its covariances' sum over all distances.
+    /// Variance, noise, and sum of covariances over all lags, each over the value for the weighted sum.
     inflation: f64,
+    noise_inflation: f64,
     long_run: f64,
     filled: bool,
     moved: bool,
@@ -127,20 +170,19 @@ struct Spread {
 }
 
 impl ProfileFilter {
-    /// `columns`, `frames`: correlation of a row's `speckle` with that of others so many columns or frames apart, 1 first; beyond
-    /// the last it is 0. `noise_share`: of noise in a row's variance, typically.
+    /// `columns`: correlation of a row's `speckle` with rows at lags of 0, 1, … columns; 0 beyond the last. `frames`: the ways
+    /// to frames at lags of 0, 1, …; no speckle remains beyond the last.
+    /// `noise_share`: typical fraction of a row's variance that is noise.
     pub fn new(
         filters: Filters,
         columns: Vec<f64>,
-        frames: Vec<f64>,
+        frames: Vec<FrameStep>,
         noise_share: f64,
         calibration: Calibration,
     ) -> ProfileFilter {
         let median = match filters.smooth {
             Some(Smooth::Median(count)) => {
-                let mut all: Vec<f64> = columns.iter().map(|c| c * (1.0 - noise_share)).collect();
-                all[0] = 1.0;
-                Some(MedianVariance::new(count as usize, &all))
+                Some(MedianVariance::new(count as usize, &columns, noise_share))
             }
             _ => None,
         };
@@ -161,6 +203,7 @@ impl ProfileFilter {
             place: DVec2::new(f64::from(row.column) + 0.5, row.row),
             weights: vec![(i, 1.0)],
             inflation: 1.0,
+            noise_inflation: 1.0,
             long_run: 1.0,
             filled: false,
             moved: false,
@@ -213,18 +256,32 @@ impl ProfileFilter {
         let enough = of_column.filter(|rows| 2 * rows.len() >= frames.len());
         let mean = |rows: &[(u32, usize, &ProfileRow)]| {
             let n = rows.len() as f64;
-            let alike = |a: usize, b: usize| self.frames.get(a.abs_diff(b)).copied().unwrap_or(0.0);
+            let drift = Drift {
+                decay: rows.iter().map(|row| row.2.drift.decay).sum::<f64>() / n,
+                turn: rows.iter().map(|row| row.2.drift.turn).sum::<f64>() / n,
+            };
+            let alike = |a: usize, b: usize| match self.frames.get(a.abs_diff(b)) {
+                Some(_) if a == b => 1.0,
+                Some(step) => drift.correlation(step),
+                None => 0.0,
+            };
             let speckle: f64 = rows
                 .iter()
                 .flat_map(|a| rows.iter().map(move |b| (a, b)))
                 .map(|(a, b)| a.2.speckle * b.2.speckle * alike(a.1, b.1))
                 .sum();
             let noise: f64 = rows.iter().map(|row| row.2.noise.powi(2)).sum();
+            let singles = noise + rows.iter().map(|row| row.2.speckle.powi(2)).sum::<f64>();
             ProfileRow {
                 column: rows[0].0,
                 row: rows.iter().map(|row| row.2.row).sum::<f64>() / n,
                 speckle: speckle.max(0.0).sqrt() / n,
                 noise: noise.sqrt() / n,
+                drift,
+                averaged: match speckle.max(0.0) + noise > 0.0 {
+                    true => n * singles / (speckle.max(0.0) + noise),
+                    false => 1.0,
+                },
             }
         };
         enough.map(mean).collect()
@@ -273,12 +330,11 @@ impl ProfileFilter {
             let used = std::iter::once(i).chain(pairs.iter().flat_map(|&(a, b)| [a, b]));
             let parts = used.clone().flat_map(|i| samples[i].weights.iter());
             let weights = merged(parts.map(|&(i, w)| (i, w / count as f64)).collect());
-            let total = |weights| {
-                let Spread { speckle, noise } = self.spread(rows, weights);
-                speckle + noise
-            };
-            let (own_variance, mean) = (total(&own.weights), total(&weights));
-            let (row, inflation, long_run) = match (smooth, &self.median) {
+            let total = |spread: &Spread| spread.speckle + spread.noise;
+            let own_spread = self.spread(rows, &own.weights);
+            let mean_spread = self.spread(rows, &weights);
+            let (own_variance, mean) = (total(&own_spread), total(&mean_spread));
+            let (row, [inflation, noise_inflation], long_run) = match (smooth, &self.median) {
                 (Smooth::Median(_), Some(median)) => {
                     let mut values: Vec<f64> = used.map(|i| samples[i].place.y).collect();
                     let middle = values.len() / 2;
@@ -290,19 +346,25 @@ impl ProfileFilter {
                         square.max(0.0).sqrt() / f64::from(columns[b] - columns[a])
                     });
                     // Steep lines keep the row in the middle.
-                    let most = (own_variance / mean).max(1.0);
+                    let most = |own: f64, mean: f64| {
+                        if mean > 0.0 {
+                            (own / mean).max(1.0)
+                        } else {
+                            1.0
+                        }
+                    };
+                    let share = own_spread.noise / own_variance.max(f64::MIN_POSITIVE);
+                    let [all, noise] = median.over_mean(climb, share);
+                    let all = all.min(most(own_variance, mean));
+                    let noise = noise.min(most(own_spread.noise, mean_spread.noise));
                     match count {
-                        1 => (row, 1.0, 1.0),
-                        _ => (
-                            row,
-                            median.over_mean(climb).min(most),
-                            median.long_run(climb),
-                        ),
+                        1 => (row, [1.0; 2], 1.0),
+                        _ => (row, [all, noise], median.long_run(climb)),
                     }
                 }
                 _ => {
                     let sum: f64 = used.map(|i| samples[i].place.y).sum();
-                    (sum / count as f64, 1.0, 1.0)
+                    (sum / count as f64, [1.0; 2], 1.0)
                 }
             };
             let limit = MOVED_SIGMAS * (own_variance + mean * inflation).sqrt();
@@ -310,6 +372,7 @@ impl ProfileFilter {
                 place: own.place.with_y(row),
                 weights,
                 inflation,
+                noise_inflation,
                 long_run,
                 filled: own.filled,
                 moved: (row - own.place.y).abs() > limit,
@@ -370,16 +433,22 @@ impl ProfileFilter {
         // A filter that keeps straight lines keeps the sum of its rows' covariances over all distances.
         let over_all =
             mean(&|row| row.speckle) * sum_of_both_sides(&self.columns) + mean(&|row| row.noise);
-        let variance = (speckle + noise) * sample.inflation;
+        let variance = (speckle + noise).max(0.0) * sample.inflation;
+        let noise = (noise * sample.noise_inflation).min(variance);
         DeliveredRow {
             place: sample.place,
-            speckle: (speckle.max(0.0) * sample.inflation).sqrt(),
-            noise: (noise * sample.inflation).sqrt(),
+            speckle: (variance - noise).sqrt(),
+            noise: noise.sqrt(),
             correlated_columns: if variance > 0.0 {
                 over_all * sample.long_run / variance
             } else {
                 1.0
             },
+            averaged: sample
+                .weights
+                .iter()
+                .map(|&(i, w)| w * rows[i].averaged)
+                .sum(),
             filled: sample.filled,
             moved: sample.moved,
         }
@@ -422,6 +491,7 @@ fn between(a: &Sample, b: &Sample, share: f64) -> Sample {
         place: a.place.lerp(b.place, share),
         weights: merged([of(a, 1.0 - share), of(b, share)].concat()),
         inflation: a.inflation * (1.0 - share) + b.inflation * share,
+        noise_inflation: a.noise_inflation * (1.0 - share) + b.noise_inflation * share,
         long_run: a.long_run * (1.0 - share) + b.long_run * share,
         filled: a.filled || b.filled,
         moved: a.moved || b.moved,

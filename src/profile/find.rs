@@ -115,15 +115,31 @@ pub fn find_peaks(image: &dyn Columns, settings: &PeakSettings) -> Vec<Peak> {
     peaks
 }
 
-/// Locates again each line in a window of its own width: on a slope towards the camera it is
-/// wider than was taken, and cut off by its window it would stray more than a whole one; on one
-/// away from it, it is narrower, and noise beside it would move it. However little the widths
-/// differ: were it done from some difference on, a trifle could decide on which noise is in
-/// the window.
+/// Most times that windows are fitted, and the relative change of a width below which no more are.
+/// A window of two of the line's standard deviations instead of four, half as wide as it should be,
+/// gives 0.88 of the width, one of 3.5 gives 0.99, and the next is right to 0.001.
+const MOST_FITS: usize = 8;
+const FITTED: f64 = 1e-3;
+
+/// Locates each line again in a window fitted to its width, until the widths no longer change.
+///
+/// On a slope towards the camera a line is wider than expected, and a window that truncates it makes it stray more
+/// than a complete line. On a slope away from the camera it is narrower, and noise around it would move it. The first
+/// fit does not depend on how much the widths differ: a threshold would let a trifle decide which noise is in the window.
 fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
+    for _ in 0..MOST_FITS {
+        if fit_windows_once(lines, columns, settings) < FITTED {
+            break;
+        }
+    }
+}
+
+/// Returns the largest relative change of a window's width.
+fn fit_windows_once(lines: &mut [Found], columns: usize, settings: &PeakSettings) -> f64 {
     let single = lines.iter().filter(|found| !found.double);
     let widths = single.map(|found| (found.column, found.located.0.sigma));
     let around = Neighbourhood::new(columns, widths);
+    let mut most = 0.0f64;
     for found in lines {
         let (_, Some(width)) = around.around(found.column) else {
             continue;
@@ -138,9 +154,11 @@ fn fit_windows(lines: &mut [Found], columns: usize, settings: &PeakSettings) {
             ..found.line
         };
         if let Some(again) = locate(&other, settings.finder) {
+            most = most.max((width / found.line.sigma - 1.0).abs());
             (found.line, found.located) = (other, again);
         }
     }
+    most
 }
 
 /// The highest count of each [`BLOCK`] of a column.

@@ -37,7 +37,8 @@ pub use blurred::Blurred;
 pub use calibration::{Calibration, Covariance, PARAMETERS, Parameters, PointJacobian};
 pub use clipping::blinding_height;
 pub use filter::{
-    DeliveredRow, Filters, OUTLIER_COLUMNS, ProfileFilter, ProfileRow, Smooth, sum_of_both_sides,
+    DeliveredRow, Drift, Filters, FrameStep, OUTLIER_COLUMNS, ProfileFilter, ProfileRow, Smooth,
+    sum_of_both_sides,
 };
 pub use find::{CANDIDATE_SHARE, find_peaks};
 pub use flags::{NARROW_RATIO, WEAK_SHARE, WEAK_SNR, WIDE_RATIO, compare_neighbours, weigh};

@@ -4,6 +4,7 @@
 use super::blurred::Blurred;
 use super::clipping::{Clipped, Clipping};
 use super::cut::{Cuts, columns_cut};
+use super::filter::{Drift, FrameStep};
 use super::horizon::{UNSAID, offsets};
 use super::influence::bias;
 use super::locate::PIXEL_VARIANCE;
@@ -41,6 +42,8 @@ pub struct RowError {
     pub beside_edge: bool,
     /// Rows a column that the line climbs, 0 where it ends or jumps.
     pub slope: f64,
+    /// How what is not `noise` correlates with the errors of frames in which the surface lies elsewhere.
+    pub drift: Drift,
     /// Whether `sigma` is that of lines like this one.
     pub(super) is_valid: bool,
     /// Whether there are whole lines around to compare this one with.
@@ -96,6 +99,8 @@ pub struct ErrorModel {
     prnu: f64,
     fixed_share: f64,
     merged: Vec<Merged>,
+    /// Ways between two poses of an exposure, each with the fraction of pairs that have it.
+    poses: Vec<(FrameStep, f64)>,
     cuts: Cuts,
     clipping: Clipping,
     places: Places,
@@ -117,6 +122,7 @@ impl ErrorModel {
             prnu: 0.0,
             fixed_share: 0.0,
             merged: Vec::new(),
+            poses: Vec::new(),
             cuts: Cuts::new(variance_of_mean(&columns)),
             clipping: Clipping::new(columns[0]),
             places: Places::new(finder, grain.as_ref()),
@@ -138,8 +144,7 @@ impl ErrorModel {
     pub fn column_correlation(&self, sigma: f64) -> Vec<f64> {
         let of = |grain: &SpeckleGrain| {
             let middle = grain.resolution.as_dvec2() / 2.0;
-            let sigma = sigma.hypot(self.spread(middle).sqrt());
-            column_correlation(self.finder, grain, middle, sigma)
+            column_correlation(self.finder, grain, middle, self.measured(middle, sigma))
         };
         self.grain.as_ref().map_or(vec![1.0], of)
     }
@@ -159,6 +164,20 @@ impl ErrorModel {
         ErrorModel { merged, ..self }
     }
 
+    /// Returns the model for images that average uniformly spread poses of an exposure. `poses` lists the ways from
+    /// the first pose to each, beginning with 0.
+    pub fn with_poses(self, poses: &[FrameStep]) -> ErrorModel {
+        let n = poses.len() as f64;
+        let pairs = poses.iter().enumerate().map(|(apart, step)| {
+            let signs = if apart == 0 { 1.0 } else { 2.0 };
+            (*step, signs * (n - apart as f64) / (n * n))
+        });
+        ErrorModel {
+            poses: pairs.collect(),
+            ..self
+        }
+    }
+
     /// The same for light without shot noise.
     pub fn without_shot(self) -> ErrorModel {
         ErrorModel {
@@ -167,10 +186,77 @@ impl ErrorModel {
         }
     }
 
-    /// What the lens adds to the square of a line's width at a place, px², as far as it is modelled.
-    pub(crate) fn spread(&self, place: DVec2) -> f64 {
+    /// How errors by speckle correlate while the surface moves under a line that was measured `width` px wide at a place.
+    pub fn drift(&self, place: DVec2, width: f64) -> Drift {
+        self.drift_of(width, &self.at_rest(place, width))
+    }
+
+    /// Returns the correlation for a line whose centroid has the variance V and whose light has the relative variance L.
+    ///
+    /// A lens images the fields of the surface that the line lights in both frames. That surface is lit like a line of
+    /// the same σ, half way between the two lines and darker by exp(−u²/4). V becomes
+    /// exp(−u²/4)·(V − u²σ²·L/4). In a sharp image the pattern multiplies the line: R(u) = exp(−u²/4)·(1 − u²/2)
+    /// is convolved with the covariance of the grains, which widens σ² to τ² = σ⁴·L/2V (exact for a Gaussian covariance).
+    fn drift_of(&self, width: f64, at: &Variances) -> Drift {
+        if at.light <= 0.0 || at.speckle <= 0.0 {
+            return Drift::FINE;
+        }
+        let square = at.sharp.powi(2) * at.light / at.speckle;
+        match &self.blurred {
+            Some(_) => Drift {
+                decay: 0.25,
+                turn: 0.25 * square,
+            },
+            None => {
+                let widened = width * width * at.light / (2.0 * at.speckle);
+                Drift {
+                    decay: 0.25 / widened,
+                    turn: 0.5 / widened,
+                }
+            }
+        }
+    }
+
+    /// Returns the variances of a line that was measured `width` px wide at a place, without motion in the exposure.
+    fn at_rest(&self, place: DVec2, width: f64) -> Variances {
+        match &self.blurred {
+            None => self.places.at(place, width),
+            Some(blurred) => blurred.at(&self.places, place, width),
+        }
+    }
+
+    /// Returns the variances under the motion of an exposure, and the correlation over frames.
+    ///
+    /// The errors of the mean over all poses have the mean of the correlations of all pairs of poses.
+    fn exposed(&self, place: DVec2, width: f64) -> (Variances, Drift) {
+        let at = self.at_rest(place, width);
+        let drift = self.drift_of(width, &at);
+        if self.poses.len() < 2 {
+            return (at, drift);
+        }
+        let mean = |drift: Drift| -> f64 {
+            let pairs = self.poses.iter();
+            let sum: f64 = pairs
+                .map(|(step, share)| share * drift.correlation(step))
+                .sum();
+            sum.max(0.0)
+        };
+        let of_light = mean(Drift { turn: 0.0, ..drift });
+        let exposed = Variances {
+            speckle: at.speckle * mean(drift),
+            light: at.light * of_light,
+            pixel: at.pixel * of_light,
+            ..at
+        };
+        (exposed, drift)
+    }
+
+    /// Returns the width, px, that a line of standard deviation `sigma` px is measured to have behind the lens.
+    pub(crate) fn measured(&self, place: DVec2, sigma: f64) -> f64 {
         let blurred = self.blurred.as_ref();
-        blurred.map_or(0.0, |blurred| blurred.spread(place))
+        blurred.map_or(sigma, |blurred| {
+            blurred.measured(&self.places, place, sigma)
+        })
     }
 
     /// How far each peak's row may be off. `peaks` are those of one frame, in the order of its
@@ -183,13 +269,11 @@ impl ErrorModel {
         let width = |(peak, e): (&Peak, &Option<Expected>)| e.map_or(peak.sigma, |e| e.sigma);
         let sigmas: Vec<f64> = peaks.iter().zip(&expected).map(width).collect();
         let lined = peaks.iter().zip(&sigmas);
-        let lined = lined.map(|(peak, &sigma)| match &self.blurred {
-            None => self.places.at(peak.place(), sigma),
-            Some(blurred) => blurred.at(&self.places, peak.place(), sigma),
-        });
-        let variances: Vec<Variances> = lined.collect();
+        let lined = lined.map(|(peak, &sigma)| self.exposed(peak.place(), sigma));
+        let (variances, drifts): (Vec<Variances>, Vec<Drift>) = lined.unzip();
         let lights: Vec<f64> = variances.iter().map(|v| v.light).collect();
-        let spreads: Vec<f64> = peaks.iter().map(|peak| self.spread(peak.place())).collect();
+        let spread = |(width, at): (&f64, &Variances)| (width * width - at.sharp.powi(2)).max(0.0);
+        let spreads: Vec<f64> = sigmas.iter().zip(&variances).map(spread).collect();
         let cuts = self.cuts.find(peaks, &expected, &sigmas, &lights, &spreads);
         let unseen = offsets(peaks, &runs);
         let near_ends = near_ends(peaks, &sigmas, columns);
@@ -207,6 +291,7 @@ impl ErrorModel {
                 noise,
                 beside_edge: near_ends[i] || cut > uncut,
                 slope: runs[i].slope,
+                drift: drifts[i],
                 is_valid: expected.is_some() && self.is_valid(width, &variances[i]),
                 compared: expected.is_some_and(|e| !e.alone),
                 is_cut: cuts[i].chance > 0.5,

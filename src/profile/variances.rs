@@ -58,6 +58,8 @@ pub(super) struct Variances {
     /// Relative, of the line's light, from speckle, and of one pixel's.
     pub light: f64,
     pub pixel: f64,
+    /// Standard deviation of the line before the lens spreads it, px.
+    pub sharp: f64,
 }
 
 /// Of lines at nodes of a grid over the sensor, between which they are interpolated.
@@ -121,7 +123,10 @@ impl Places {
             [(first, 1.0 - share), ((first + 1).min(count - 1), share)]
         };
         let [columns, rows] = [0, 1].map(|axis| ends(at[axis], self.count[axis]));
-        let mut sum = Variances::default();
+        let mut sum = Variances {
+            sharp: sigma,
+            ..Variances::default()
+        };
         for (row, of_row) in rows {
             for (column, of_column) in columns {
                 let node = &self.nodes[row * self.count[0] + column];
@@ -298,6 +303,7 @@ impl Line {
             response: self.response,
             light: sum(&self.lights),
             pixel,
+            sharp: 0.0,
         }
     }
 }

@@ -55,13 +55,13 @@ impl Format {
 fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
     writeln!(
         out,
-        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px,repeatability_mm,correlation_length_mm"
+        "x_mm,y_mm,z_mm,deviation_mm,sigma_mm,deviation_sigma_mm,intensity_dn,frame,column,flags,row_px,width_px,repeatability_mm,correlation_length_mm,scan_correlation_length_mm"
     )?;
     for p in points {
         let [x, y, z] = p.position.to_array();
         writeln!(
             out,
-            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3},{:.7},{:.5}",
+            "{x:.7},{y:.7},{z:.7},{:.7},{:.7},{:.7},{:.1},{},{},{},{:.5},{:.3},{:.7},{:.5},{:.5}",
             p.deviation,
             p.sigma,
             p.deviation_sigma,
@@ -72,7 +72,8 @@ fn csv(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             p.row,
             p.width,
             p.repeatability,
-            p.correlation_length
+            p.correlation_length,
+            p.scan_correlation_length
         )?;
     }
     Ok(())
@@ -184,7 +185,7 @@ fn e57(points: &[CloudPoint]) -> e57::Result<Vec<u8>> {
 
 /// Fields of a point in a PCD: names, and `F` for floats and `U` for unsigned integers, of 4 bytes
 /// each. PCL finds x, y, z, normals, rgb and intensity under these names, and only as 4-byte floats.
-const PCD_FIELDS: [(&str, char); 16] = [
+const PCD_FIELDS: [(&str, char); 17] = [
     ("x", 'F'),
     ("y", 'F'),
     ("z", 'F'),
@@ -198,6 +199,7 @@ const PCD_FIELDS: [(&str, char); 16] = [
     ("deviation_sigma", 'F'),
     ("repeatability", 'F'),
     ("correlation_length", 'F'),
+    ("scan_correlation_length", 'F'),
     ("frame", 'U'),
     ("column", 'U'),
     ("flags", 'U'),
@@ -234,6 +236,7 @@ fn pcd(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             p.deviation_sigma,
             p.repeatability,
             p.correlation_length,
+            p.scan_correlation_length,
         ];
         for value in [p.intensity].into_iter().chain(lengths.map(|mm| mm * 1e-3)) {
             out.write_all(&(value as f32).to_le_bytes())?;
@@ -261,6 +264,7 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
         ("deviation_sigma_mm", "<f8"),
         ("repeatability_mm", "<f8"),
         ("correlation_length_mm", "<f8"),
+        ("scan_correlation_length_mm", "<f8"),
         ("flags", "<u2"),
     ];
     let fields = fields.map(|(name, kind)| format!("('{name}', '{kind}')"));
@@ -281,6 +285,7 @@ pub fn npy(out: &mut impl Write, points: &[CloudPoint]) -> io::Result<()> {
             p.deviation_sigma,
             p.repeatability,
             p.correlation_length,
+            p.scan_correlation_length,
         ] {
             out.write_all(&value.to_le_bytes())?;
         }
@@ -321,6 +326,7 @@ mod tests {
                 deviation_sigma: 0.001,
                 repeatability: 0.0005,
                 correlation_length: 0.2,
+                scan_correlation_length: 0.2,
                 intensity: 1234.5,
                 frame: i / 20,
                 column: i % 20,
@@ -384,11 +390,11 @@ mod tests {
             lines.next().unwrap().split_whitespace().collect::<Vec<_>>()
         };
         for key in ["FIELDS", "SIZE", "TYPE", "COUNT"] {
-            assert_eq!(line(key).len(), 16);
+            assert_eq!(line(key).len(), 17);
         }
         assert_eq!((line("WIDTH"), line("POINTS")), (vec!["200"], vec!["200"]));
-        let second = &bytes[start + 64..start + 128];
-        assert_eq!(bytes.len() - start, 200 * 64);
+        let second = &bytes[start + 68..start + 136];
+        assert_eq!(bytes.len() - start, 200 * 68);
         let float = |at: usize| f32::from_le_bytes(second[4 * at..][..4].try_into().unwrap());
         assert_eq!(float(0), (1e-3f64 / 3.0) as f32);
         assert_eq!(float(5), 1.0);
@@ -396,7 +402,7 @@ mod tests {
         assert_eq!(float(8), (-0.002f64 * 1e-3) as f32);
         let flags = u32::from(Flags::EDGE.bits());
         assert_eq!(
-            second[56..],
+            second[60..],
             [1u32, flags].map(u32::to_le_bytes).as_flattened()[..]
         );
     }
@@ -410,8 +416,8 @@ mod tests {
         let header = std::str::from_utf8(&bytes[10..10 + length]).unwrap();
         assert!(header.contains("'shape': (200,)") && header.ends_with('\n'));
         let data = &bytes[10 + length..];
-        assert_eq!(data.len(), 200 * 98);
-        let second = &data[98..];
+        assert_eq!(data.len(), 200 * 106);
+        let second = &data[106..];
         assert_eq!(second[4..8], 1u32.to_le_bytes());
         assert_eq!(second[8..16], 31.25f64.to_le_bytes());
         assert_eq!(second[32..40], (1.0f64 / 3.0).to_le_bytes());
@@ -421,7 +427,7 @@ mod tests {
     fn a_csv_has_a_line_a_point_and_an_empty_cloud_is_no_error() {
         let text = String::from_utf8(written(|out| Format::Csv.write(out, &points()))).unwrap();
         assert_eq!(text.lines().count(), 201);
-        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 14);
+        assert_eq!(text.lines().nth(1).unwrap().split(',').count(), 15);
         for format in Format::ALL {
             assert!(format.write(&mut Vec::new(), &[]).is_ok(), "{format:?}");
         }

@@ -21,7 +21,7 @@ pub fn color_limit_um(points: &[CloudPoint], value: impl Fn(&CloudPoint) -> f64)
 ///
 /// - x, y, z (double, mm, frame of the part), nx, ny, nz (float);
 /// - red, green, blue (uchar), the deviation as in the report;
-/// - deviation, sigma, deviation_sigma, repeatability and correlation_length (float, mm);
+/// - deviation, sigma, deviation_sigma, repeatability, correlation_length and scan_correlation_length (float, mm);
 /// - intensity (float, counts);
 /// - frame, column and flags (int, the bits of [`Flags`](crate::profile::Flags));
 /// - with `bands` verdict (int: 0 none, 1 pass, 2 fail, 3 unsure) and region (int: number of the band,
@@ -43,6 +43,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> 
          property float scalar_deviation\nproperty float scalar_sigma\n\
          property float scalar_deviation_sigma\nproperty float intensity\n\
          property float scalar_repeatability\nproperty float scalar_correlation_length\n\
+         property float scalar_scan_correlation_length\n\
          property int scalar_frame\nproperty int scalar_column\nproperty int scalar_flags\n{}",
         points.len(),
         match bands {
@@ -71,6 +72,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> 
             intensity,
             repeatability,
             correlation_length,
+            scan_correlation_length,
             ..
         } = *point;
         for value in [
@@ -80,6 +82,7 @@ pub fn write_ply(mut out: impl Write, points: &[CloudPoint], bands: &[Band]) -> 
             intensity,
             repeatability,
             correlation_length,
+            scan_correlation_length,
         ] {
             out.write_all(&(value as f32).to_le_bytes())?;
         }
@@ -118,6 +121,7 @@ mod tests {
             deviation_sigma: 0.015,
             repeatability: 0.003,
             correlation_length: 0.1,
+            scan_correlation_length: 0.1,
             intensity: 900.0,
             frame: 70_000 + i,
             column: 7,
@@ -139,7 +143,7 @@ mod tests {
             sizes.iter().find(|s| s.0 == kind).map(|s| s.1)
         };
         let record: usize = text.lines().filter_map(size).sum();
-        assert_eq!(text.matches("property").count(), 18);
+        assert_eq!(text.matches("property").count(), 19);
         assert_eq!(bytes.len() - header, 2 * record);
         let second = &bytes[header + record..];
         let int = |at: usize| u32::from_le_bytes(second[at..at + 4].try_into().unwrap());
@@ -147,7 +151,7 @@ mod tests {
         assert_eq!(second[28..32], 1f32.to_le_bytes());
         assert_eq!(second[36..39], diverging(10.0, 10.0));
         let flags = (Flags::WEAK | Flags::EDGE).bits();
-        assert_eq!([63, 67, 71].map(int), [70_001, 7, flags.into()]);
+        assert_eq!([67, 71, 75].map(int), [70_001, 7, flags.into()]);
         // With reflections, of each how much of its light is none.
         let ghost = CloudPoint {
             direct: 0.25,

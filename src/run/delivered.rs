@@ -6,7 +6,7 @@ use crate::inspect::cloud::CloudPoint;
 use crate::inspect::deviation::signed_distance;
 use crate::math::DVec2;
 use crate::profile::{DeliveredRow, Filters, Flags, PointJacobian, ProfileFilter, ProfileRow};
-use crate::run::scan_speckle::centroid_correlation_over_frames;
+use crate::run::scan_speckle::frame_steps;
 use rayon::prelude::*;
 
 /// A measured point and what its row's errors are made of.
@@ -21,7 +21,8 @@ struct Measured<'a> {
 impl Simulation {
     /// Of points in the order of frames, then columns, of whole groups of averaged frames. Doubtful points stay as they
     /// are and say nothing of others.
-    pub(crate) fn delivered(&self, points: Vec<CloudPoint>) -> Vec<CloudPoint> {
+    #[doc(hidden)]
+    pub fn delivered(&self, points: Vec<CloudPoint>) -> Vec<CloudPoint> {
         let filters = self.scene.measure.filters;
         if filters == Filters::default() {
             return points;
@@ -40,7 +41,7 @@ impl Simulation {
         let filter = ProfileFilter::new(
             filters,
             self.column_correlation().to_vec(),
-            centroid_correlation_over_frames(&self.scene, count),
+            frame_steps(&self.scene, (0..count).map(f64::from)),
             noise_share,
             self.calibration.clone(),
         );
@@ -51,6 +52,47 @@ impl Simulation {
             .par_iter()
             .map(|group| self.group(&filter, group, count));
         delivered.collect::<Vec<_>>().concat()
+    }
+
+    /// Correlations of the errors of a place in profiles 0, 1, 2, … apart, noise included, for a typical one of these delivered
+    /// points, up to the last above 0.001; empty without points.
+    #[doc(hidden)]
+    pub fn correlation_over_profiles(&self, points: &[CloudPoint]) -> Vec<f64> {
+        const MIN_CORRELATION: f64 = 1e-3;
+        let mut valid: Vec<&CloudPoint> = points
+            .iter()
+            .filter(|p| p.is_valid() && p.sigma > 0.0)
+            .collect();
+        if valid.is_empty() {
+            return Vec::new();
+        }
+        let middle = valid.len() / 2;
+        let (_, typical, _) =
+            valid.select_nth_unstable_by(middle, |a, b| a.width.total_cmp(&b.width));
+        let place = DVec2::new(f64::from(typical.column) + 0.5, typical.row);
+        let drift = self.errors.drift(place, typical.width);
+        let speckle = 1.0 - (typical.repeatability / typical.sigma).powi(2).min(1.0);
+        let (steps, _) = self.scan_steps();
+        let of_frames = |apart: u32| match apart.checked_sub(1) {
+            None => 1.0,
+            Some(i) => (steps.get(i as usize)).map_or(0.0, |step| drift.correlation(step)),
+        };
+        let count = self.scene.measure.filters.average_frames;
+        let of_groups = |apart: u32| -> f64 {
+            let pairs = (0..count).flat_map(|a| (0..count).map(move |b| (a, apart * count + b)));
+            pairs.map(|(a, b)| of_frames(a.abs_diff(b))).sum()
+        };
+        let all = of_groups(0);
+        let last = steps.len() as u32 / count + 1;
+        let mut correlation = vec![1.0];
+        if all > 0.0 {
+            correlation.extend((1..=last).map(|apart| speckle * of_groups(apart) / all));
+        }
+        let kept = correlation
+            .iter()
+            .rposition(|rho| rho.abs() >= MIN_CORRELATION);
+        correlation.truncate(kept.map_or(0, |last| last + 1));
+        correlation
     }
 
     /// Those of the frames that make one profile.
@@ -104,6 +146,8 @@ impl Simulation {
             row: point.row,
             speckle: (of_row - noise * noise).max(0.0).sqrt(),
             noise,
+            drift: self.errors.drift(place, point.width),
+            averaged: 1.0,
         };
         Some(Measured {
             point,
@@ -154,6 +198,7 @@ impl Simulation {
             sigma: (by_row.length() * sigma_row).hypot(nearest.of_calibration.sqrt()),
             repeatability: by_row.length() * delivered.noise,
             correlation_length: by_column.length() * delivered.correlated_columns,
+            scan_correlation_length: nearest.point.scan_correlation_length * delivered.averaged,
             deviation_sigma: across(normal, by_row, sigma_row).hypot(rest.sqrt()),
             frame: at as u32,
             column,

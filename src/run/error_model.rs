@@ -4,6 +4,7 @@ use crate::camera::{Camera, Sensor};
 use crate::frame::Blur;
 use crate::math::Rigid;
 use crate::profile::{Blurred, Calibration, ErrorModel, Merged, SpeckleGrain};
+use crate::run::scan_speckle::frame_steps;
 use crate::scene::Scene;
 
 /// What data sheets of the scene's laser and camera tell of the errors of peaks, in images with such
@@ -25,6 +26,10 @@ pub(crate) fn error_model(scene: &Scene, blur: Blur) -> ErrorModel {
     let model =
         ErrorModel::new(scene.measure.finder, shot, grain).with_patterns(noise.prnu, fixed_share);
     let model = model.with_exposures(merged(sensor));
+    let model = match scene.scan.exposure_poses {
+        1 => model,
+        _ => model.with_poses(&frame_steps(scene, scene.scan.exposure_places(0))),
+    };
     match grain.filter(|_| blur != Blur::None) {
         None => model,
         Some(grain) => model.behind_lens(Blurred::new(

@@ -426,6 +426,7 @@ mod tests {
             deviation_sigma: 0.01,
             repeatability: 0.005,
             correlation_length: 0.1,
+            scan_correlation_length: 0.1,
             intensity: 200.5,
             frame,
             column: 9,

@@ -1,6 +1,8 @@
 //! From a frame's image, or from geometry alone, to points on the part.
 
+use super::scan_speckle::frame_steps;
 use super::simulation::{Pose, Simulation};
+use super::surface_view::surface_view;
 use crate::camera::{Camera, Columns, Counts, NearLight};
 use crate::error::Result;
 use crate::frame::{Blur, Irradiance, LinePoint};
@@ -11,7 +13,7 @@ use crate::inspect::deviation::signed_distance;
 use crate::inspect::sight_lines::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
-    Flags, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
+    Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
     sum_of_both_sides, weigh,
 };
 use crate::scene::Scene;
@@ -158,7 +160,7 @@ impl Simulation {
         let wavelength = self.scene.laser.beam.wavelength;
         let electrons = irradiance * sensor.electrons_per_irradiance(wavelength);
         let of_laser = self.plan.line_half_width_px / 2.0;
-        let sigma = of_laser.hypot(self.errors.spread(pixel).sqrt());
+        let sigma = self.errors.measured(pixel, of_laser);
         let full = f64::from(sensor.saturation_count()) - sensor.black_level_dn;
         let height = (electrons * of_laser / sigma * sensor.gain_dn_per_e).min(full);
         let dark = sensor.dark_noise_e() * sensor.gain_dn_per_e;
@@ -212,6 +214,7 @@ impl Simulation {
                 sigma,
                 repeatability: jacobian.by_pixel[1].length() * error.noise,
                 correlation_length: jacobian.by_pixel[0].length() * self.correlated_columns(error),
+                scan_correlation_length: self.along_scan(error),
                 deviation_sigma,
                 intensity: peak.intensity,
                 frame,
@@ -243,6 +246,37 @@ impl Simulation {
                 .column_correlation(self.plan.line_half_width_px / 2.0)
         };
         self.column_correlation.get_or_init(of_line)
+    }
+
+    /// The ways to frames ever further from the first, as far as speckle remains, and the distance of two frames, mm.
+    pub(crate) fn scan_steps(&self) -> &(Vec<FrameStep>, f64) {
+        // Beyond six standard deviations of the line nothing is left of the light that both frames show.
+        const MOST_ACROSS: f64 = 12.0;
+        const MIN_KEPT: f64 = 1e-3;
+        let steps = || {
+            let frames = self.scene.scan.frames.min(1000);
+            let all = frame_steps(&self.scene, (0..frames).map(f64::from));
+            let alike =
+                |step: &FrameStep| step.across.abs() <= MOST_ACROSS && step.kept >= MIN_KEPT;
+            let steps = all.into_iter().skip(1).take_while(alike).collect();
+            let view = surface_view(&self.scene, None);
+            let at = |frame: f64| self.scene.part_from_head_at(frame).point(view.point);
+            let distance = if frames > 1 {
+                at(0.0).distance(at(1.0))
+            } else {
+                0.0
+            };
+            (steps, distance)
+        };
+        self.scan_steps.get_or_init(steps)
+    }
+
+    /// The distance of frames times Σ_k ρ_k over the errors of a place in frames k apart, mm.
+    fn along_scan(&self, error: &RowError) -> f64 {
+        let (steps, distance) = self.scan_steps();
+        let alike: f64 = steps.iter().map(|step| error.drift.correlation(step)).sum();
+        let noise = (error.noise / error.sigma).powi(2).min(1.0);
+        distance * (noise + (1.0 - noise) * (1.0 + 2.0 * alike).max(0.0))
     }
 
     /// Σ_k ρ_k over the errors of lines k columns apart, of which noise is no one's but their own.

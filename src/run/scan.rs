@@ -364,7 +364,7 @@ fn judge(
         points: &points,
     });
     control.check()?;
-    let mut summary = summary(scene, frames, (&points, measured), out);
+    let mut summary = summary(simulation, frames, (&points, measured), out);
     let Foreseen { warnings, .. } = warnings::foreseen_of(simulation, frames.clone());
     summary.warnings = warnings::found(
         &points,
@@ -480,11 +480,12 @@ fn align(simulation: &Simulation, points: &mut [CloudPoint]) -> Option<Alignment
 
 /// `measured`: points before profiles were filtered.
 fn summary(
-    scene: &Scene,
+    simulation: &Simulation,
     frames: &Range<u32>,
     (points, measured): (&[CloudPoint], usize),
     out: &Path,
 ) -> ScanSummary {
+    let scene = &simulation.scene;
     let columns = scene.camera.sensor.resolution.x;
     let valid = points.iter().filter(|p| p.is_valid());
     let flags = count_flags(points).into_iter();
@@ -497,7 +498,10 @@ fn summary(
         blurred_share: None,
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
-        uncertainty: UncertaintyStatistics::of(points),
+        uncertainty: UncertaintyStatistics::of(
+            points,
+            simulation.correlation_over_profiles(points),
+        ),
         mesh_ignored: scene.mesh_ignored.to_vec(),
         filters: scene.measure.filters,
         flags: flags.map(|flag| (flag.name, flag.points)).collect(),

@@ -9,6 +9,7 @@ use crate::frame::{Patterns, Reference, Speckle, Strips};
 use crate::math::Aperture;
 use crate::math::{DVec2, DVec3, Rigid};
 use crate::plan::rules::{CORRELATED, SpeckleStep};
+use crate::profile::FrameStep;
 use crate::scene::{Motion, Moves, Scene, SpeckleModel};
 use crate::speckle::anchor::{PoseAnchor, Reference as PathReference, ScanCoordinate};
 use crate::speckle::coordinate::GrainMap;
@@ -319,7 +320,7 @@ pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
         let mut apart = 1;
         // A path of one frame is judged by the way on from it.
         while apart == 1 || from + apart < frames as u64 {
-            let step = step_of_speckle(scene, &anchor, from as f64, apart as u32);
+            let step = step_of_speckle(scene, &anchor, from as f64, apart as f64);
             if step.gamma <= CORRELATED {
                 break;
             }
@@ -330,30 +331,56 @@ pub fn steps_of_speckle(scene: &Scene, field: bool) -> Vec<SpeckleStep> {
     steps
 }
 
-/// Correlation ρ of what speckle does to the centroid in one column in frames 0, 1, … `count` − 1 apart, where the middle of
-/// the view lies on a surface that moves in its own plane: the pattern, correlated by γ, goes the way s with the surface under a line of
-/// radius w (1/e²). ∫x(x − s)·E(x)E(x − s)dx of a Gaussian line gives ρ = γ·exp(−s²/w²)·(1 − 2s²/w²). Motion along the line makes it
-/// less; that is left out.
-pub fn centroid_correlation_over_frames(scene: &Scene, count: u32) -> Vec<f64> {
-    let mut correlation = vec![1.0];
-    if count < 2 {
-        return correlation;
-    }
-    let anchor = anchor(scene, Follows::Middle, || None);
-    let view = surface_view(scene, None);
-    let in_laser = scene.head_from_laser.inverse().point(view.point);
-    let radius = scene.laser.beam.radius(in_laser.length());
-    for apart in 1..count {
-        let step = step_of_speckle(scene, &anchor, 0.0, apart);
-        let u = (step.across_sheet / radius).powi(2);
-        correlation.push(step.gamma * (-u).exp() * (1.0 - 2.0 * u));
-    }
-    correlation
+/// The ways of the surface in the middle of the view between the first of these places on the path and each of them.
+pub fn frame_steps(scene: &Scene, places: impl Iterator<Item = f64>) -> Vec<FrameStep> {
+    let mut anchored = None;
+    let mut first = None;
+    let step = |place: f64| {
+        let from = *first.get_or_insert(place);
+        if place == from {
+            return FrameStep {
+                across: 0.0,
+                kept: 1.0,
+            };
+        }
+        let anchor = anchored.get_or_insert_with(|| anchor(scene, Follows::Middle, || None));
+        let view = surface_view(scene, None);
+        let in_laser = scene.head_from_laser.inverse().point(view.point);
+        let sigma = scene.laser.beam.radius(in_laser.length()) / 2.0;
+        let step = step_of_speckle(scene, anchor, from, place - from);
+        FrameStep {
+            across: step.across_sheet / sigma,
+            kept: step.gamma * along_line(scene, [from, place]),
+        }
+    };
+    places.map(step).collect()
+}
+
+/// Returns the correlation that remains of a column's light when the surface moves along the line: its patterns then lie in
+/// other columns.
+fn along_line(scene: &Scene, places: [f64; 2]) -> f64 {
+    let Some(model) = &scene.speckle else {
+        return 1.0;
+    };
+    let point = surface_view(scene, None).point;
+    let [now, then] = places.map(|place| scene.part_from_head_at(place));
+    let camera_from_head = scene.head_from_camera.inverse();
+    let column = |point: DVec3| {
+        let pixel = scene.camera.project(camera_from_head.point(point));
+        pixel.map(|pixel| pixel.x)
+    };
+    let moved = then.inverse().point(now.point(point));
+    let Some((from, to)) = column(point).zip(column(moved)) else {
+        return 0.0;
+    };
+    let grain = scene.camera.speckle_size(scene.laser.beam.wavelength);
+    let grains = (to - from) * scene.camera.sensor.pixel_pitch / grain;
+    model.aperture.field_correlation(DVec2::X * grains).powi(2)
 }
 
 /// What the way from the place `from` to that so many `frames` on does to speckle.
-fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: u32) -> SpeckleStep {
-    let places = [from, from + frames as f64];
+fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: f64) -> SpeckleStep {
+    let places = [from, from + frames];
     let poses = places.map(|place| scene.part_from_head_at(place));
     let [now, then] = [0, 1].map(|i| anchor.coordinate(places[i], &poses[i]));
     let delta = (then.pupil.shift - now.pupil.shift).length();
@@ -369,7 +396,7 @@ fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: u32) -> Sp
         .inverse()
         .vector(poses[1].point(point) - poses[0].point(point));
     SpeckleStep {
-        frames,
+        frames: frames as u32,
         across_sheet: way.dot(scene.head_from_laser.rotation.y_axis),
         gamma: overlap_correlation_defocused(delta, phase),
         slip_grains: slip / grain,

@@ -16,7 +16,7 @@ use crate::math::rng::{Key, Purpose};
 use crate::plan::in_view::{InView, Optics};
 use crate::plan::rules::Plan;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
-use crate::profile::{Calibration, ErrorModel, Peak};
+use crate::profile::{Calibration, ErrorModel, FrameStep, Peak};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::ops::Range;
@@ -50,6 +50,7 @@ pub struct Simulation {
     pub(crate) errors: Arc<ErrorModel>,
     /// Worked out where it is first asked for.
     pub(crate) column_correlation: OnceLock<Vec<f64>>,
+    pub(crate) scan_steps: OnceLock<(Vec<FrameStep>, f64)>,
     /// `None`: profiles come from images.
     pub(crate) sheet: Option<Sheet>,
 }
@@ -87,6 +88,7 @@ impl Simulation {
             readout: readout(&scene, &plan),
             errors: self.errors.clone(),
             column_correlation: self.column_correlation.clone(),
+            scan_steps: self.scan_steps.clone(),
             sheet: sheet(&scene, &plan),
             scene,
             plan,
@@ -134,6 +136,7 @@ impl Simulation {
             readout: readout(scene, &plan),
             errors,
             column_correlation: OnceLock::new(),
+            scan_steps: OnceLock::new(),
             sheet: sheet(scene, &plan),
             plan,
         }

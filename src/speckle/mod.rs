@@ -14,6 +14,7 @@ pub mod coordinate;
 mod estimate;
 mod fixed;
 pub mod frame_field;
+pub mod imaged_line;
 pub mod lookup;
 mod method;
 pub mod motion;
