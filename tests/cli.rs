@@ -325,7 +325,7 @@ fn a_line_is_found_in_an_image_of_the_users() {
     fs::write(path.join("text.png"), "no image").unwrap();
     for (file, code, word) in [
         ("text.png", 65, "expected an image"),
-        (".", 65, "regular file"),
+        (".", 65, "found a folder"),
         ("no.png", 74, "cannot read no.png"),
     ] {
         assert_error(path, &["peaks", "--image", file, "-o", "x"], code, &[word]);

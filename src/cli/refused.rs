@@ -3,7 +3,11 @@
 
 #![allow(unsafe_code)]
 
+use rustix::mm::{MapFlags, ProtFlags, mmap_anonymous};
+use rustix::process::{Resource, getrlimit};
+use signal_hook::consts::SIGABRT;
 use std::alloc::{GlobalAlloc, Layout};
+use std::ptr::null_mut;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -20,6 +24,26 @@ fn note() {
     if let Some(refused) = REFUSED.get() {
         refused.store(true, Ordering::Relaxed);
     }
+}
+
+/// Notes at an abort whether the address space is nearly used up: Embree and TBB abort when the system refuses
+/// memory to them, without a call to the program's allocator.
+pub(super) fn note_at_abort() -> std::io::Result<()> {
+    let look = || {
+        let Some(limit) = getrlimit(Resource::As).current else {
+            return;
+        };
+        // SAFETY: the mapping is new, nobody else uses it.
+        let mapped = unsafe {
+            let size = (limit / 4) as usize;
+            mmap_anonymous(null_mut(), size, ProtFlags::empty(), MapFlags::PRIVATE)
+        };
+        if mapped.is_err() {
+            note();
+        }
+    };
+    // SAFETY: the action only makes system calls and stores to an atomic, which is safe in a signal handler.
+    unsafe { signal_hook::low_level::register(SIGABRT, look) }.map(drop)
 }
 
 /// An allocator that notes when the one within it fails. The program's global allocator.

@@ -27,10 +27,11 @@ pub fn listen(complaints: Complaints) -> Result<()> {
     // Without a handler a file that grows too large ends the program; with one the write
     // fails and is reported.
     flag::register(SIGXFSZ, Arc::default()).map_err(failed)?;
-    // The standard library aborts when the system refuses memory, which is temporary. Every
+    // An abort because the system refuses memory is temporary. Every
     // other abort is a fault of the program, and so is one after a panic: the signal ends
     // the program, as it does without a handler.
     let refused = refused::flag();
+    refused::note_at_abort().map_err(failed)?;
     flag::register_conditional_shutdown(SIGABRT, TEMPORARY, refused.clone()).map_err(failed)?;
     let always = Arc::new(AtomicBool::new(true));
     flag::register_conditional_default(SIGABRT, always).map_err(failed)?;

@@ -380,7 +380,7 @@ mod tests {
     #[test]
     fn a_folder_is_not_read() {
         let error = load(Path::new(env!("CARGO_MANIFEST_DIR")), 1.0).unwrap_err();
-        assert!(error.to_string().contains("regular file"), "{error}");
+        assert!(error.to_string().contains("found a folder"), "{error}");
         assert_eq!(error.exit_code(), 65);
         let error = load(Path::new("no such mesh.stl"), 1.0).unwrap_err();
         assert_eq!(error.exit_code(), 74);

@@ -18,6 +18,7 @@ mod resolver;
 mod surface;
 mod unit;
 mod values;
+mod warnings;
 mod warnings_table;
 
 pub use accept_table::{AcceptTable, LimitsTable};

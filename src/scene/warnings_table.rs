@@ -1,7 +1,5 @@
 //! `[warnings]`: the limits of the assessment that `check`, `scan`, `sweep`, `view` and the service share.
 
-use super::resolver::Resolver;
-use crate::error::Result;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -45,27 +43,5 @@ impl Default for WarningsTable {
             // way between that and a step of one column, 1/√1000.
             least_step: 0.03,
         }
-    }
-}
-
-impl Resolver<'_> {
-    pub(super) fn warnings(&self, table: &WarningsTable) -> Result<WarningsTable> {
-        for (key, value) in [
-            ("lost_fraction", table.lost_fraction),
-            ("unmeasured_fraction", table.unmeasured_fraction),
-            ("hidden_fraction", table.hidden_fraction),
-            ("empty_frames_fraction", table.empty_frames_fraction),
-        ] {
-            let key = format!("warnings.{key}");
-            self.check((0.0..=1.0).contains(&value), &key, "a number from 0 to 1")?;
-        }
-        self.positive(table.duration_h, "warnings.duration_h")?;
-        self.positive(table.pass_spacing, "warnings.pass_spacing")?;
-        let expected = "a number of at least 1 and at most 1e12";
-        let holds = (1.0..=1e12).contains(&table.blur);
-        self.check(holds, "warnings.blur", expected)?;
-        let holds = (0.0..=1e12).contains(&table.least_step);
-        self.check(holds, "warnings.least_step", "a number from 0 to 1e12")?;
-        Ok(*table)
     }
 }

@@ -1,7 +1,6 @@
 //! Connections of HTTP/1.1, with an end to everything a client can draw out: the head of a request, reading
 //! its answer, and the number of connections.
 
-use super::guard::OPEN;
 use super::quota::Quota;
 use super::refusal::Refusal;
 use axum::Router;
@@ -34,6 +33,9 @@ const HEAD_OF_RESERVE: Duration = Duration::from_secs(1);
 const TAKES: Duration = Duration::from_secs(30);
 /// Bytes of a request's head.
 const LARGEST_HEAD: usize = 16 << 10;
+
+/// Pages that need neither a token nor a connection of those that are limited: they show nothing of jobs.
+pub const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
 /// Where a request comes from.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,6 @@
 //! Who may ask: names of the host, pages of other sites, and the token.
 
-use super::connections::Peer;
+use super::connections::{OPEN, Peer};
 use super::refusal::Refusal;
 use crate::error::{Error, Result};
 use axum::Router;
@@ -27,8 +27,6 @@ const LATE: Duration = Duration::from_secs(1);
 const MINUTE: Duration = Duration::from_secs(60);
 /// Addresses that are remembered.
 const ADDRESSES: usize = 4096;
-/// Pages that need no token: they say nothing of jobs.
-pub const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
 /// What a request must show before a page sees it.
 pub struct Guard {

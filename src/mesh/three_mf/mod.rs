@@ -12,7 +12,7 @@ use super::{Mesh, Source, memory};
 use crate::error::{Error, Place, printable};
 use crate::math::DVec3;
 use glam::{DAffine3, DMat3};
-use package::{Element, Package};
+use package::{Element, Package, WHOLE, wrong};
 use slicers::{Roles, is_negative};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
@@ -30,8 +30,6 @@ const MODEL: &str = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmode
 const PLACED: u64 = 3 * 2 * 24 + 2 * 12;
 /// Components of components of so many are a mistake.
 const DEEPEST: usize = 64;
-
-const WHOLE: &str = "a whole 3MF file";
 
 /// Whether an extension leaves the shape as it is, in any of its versions.
 fn is_harmless(uri: &str) -> bool {
@@ -93,10 +91,6 @@ pub fn read(source: &Source, given: Option<f64>, ignored: &mut Collector) -> Res
         models: &models,
     };
     build.mesh(&root, ignored)
-}
-
-fn wrong(source: &Source, found: String, expected: &str) -> Error {
-    source.error(Place::File, found, expected)
 }
 
 struct Model {

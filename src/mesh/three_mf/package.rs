@@ -1,6 +1,5 @@
 //! A 3MF file as an archive of XML files.
 
-use super::{WHOLE, wrong};
 use crate::error::{Error, InputError, Place, printable};
 use crate::mesh::text::{self, quote};
 use crate::mesh::{Source, memory};
@@ -11,6 +10,12 @@ use std::collections::HashMap;
 use std::io::{BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
+
+pub(super) const WHOLE: &str = "a whole 3MF file";
+
+pub(super) fn wrong(source: &Source, found: String, expected: &str) -> Error {
+    source.error(Place::File, found, expected)
+}
 
 /// Bytes of memory for a byte of XML: the shortest vertex takes 24 for `<vertex x="0" y="0" z="0"/>`.
 const PER_XML_BYTE: u64 = 1;
