@@ -122,6 +122,14 @@ impl Distortion {
         x * (self.scale(s) + 2.0 * q.dot(x)) + q * s
     }
 
+    /// Returns (x′, y′) and the local scale ∂(x′, y′)/∂(x, y). Beyond the disc on which the map is used, both
+    /// continue linearly from its rim.
+    pub fn continued(&self, x: DVec2) -> (DVec2, DMat2) {
+        let rim = x.clamp_length_max(self.radius);
+        let scale = self.jacobian(rim);
+        (self.distort(rim) + scale * (x - rim), scale)
+    }
+
     /// ∂(x′, y′)/∂(x, y).
     pub fn jacobian(&self, x: DVec2) -> DMat2 {
         let (s, q) = (x.length_squared(), self.decentring());

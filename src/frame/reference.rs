@@ -1,8 +1,8 @@
 //! Where a sample's light was seen in another pose of the path.
 
 use super::rays::Plane;
-use crate::camera::Camera;
-use crate::math::{DVec2, DVec3, Rigid};
+use crate::camera::{Camera, Distortion};
+use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::speckle::anchor::rotation_vector;
 use crate::speckle::coordinate::GrainMap;
 use crate::speckle::motion::{Motion, Source, SurfaceView, shifts_on_pupil};
@@ -84,6 +84,7 @@ pub(super) struct References {
     /// From the lens to the sensor's pixel (0, 0), and by column and row.
     corner: DVec3,
     steps: [DVec3; 2],
+    distortion: Option<Distortion>,
     view: SurfaceView,
     /// Where the part was, and its turn since then.
     strips: [(Rigid, Motion); 2],
@@ -113,6 +114,7 @@ impl References {
             focal_length: camera.lens.focal_length,
             corner: at(0.0, 0.0),
             steps: [at(1.0, 0.0), at(0.0, 1.0)].map(|next| next - at(0.0, 0.0)),
+            distortion: camera.lens.distortion,
             view: strips.view,
             strips: strips.strips.map(|reference| {
                 let now_from_then = reference.then_from_now.inverse();
@@ -132,19 +134,24 @@ impl References {
         }
     }
 
-    /// For each strip, the direction cosines under which the surface point was seen in the
-    /// strip's reference whose light now reaches `place` through the strip's middle.
+    /// For each strip, the direction cosines behind the lens of the chief ray of the surface point in
+    /// the strip's reference whose light now reaches `place` through the strip's middle.
     ///
     /// That middle has shifted since by A_p, which is that of the very point: of its
     /// own way, normal, viewing ray and light. The point that the chief ray meets lies
     /// 1 − L_o/L_f of the way to a point of the pupil beside the one whose light comes
     /// through that; beyond ±1 the blur is wider than the pupil and the formula is out of
-    /// its domain. The lens's distortion turns the rays behind it against those before it;
-    /// points are taken to lie, now and then, where the rays behind it point.
+    /// its domain. Points lie where the rays before the lens point; a lens that distorts images
+    /// them where the rays behind it point, now and then.
     pub fn cosines(&self, place: DVec2, seen: Seen) -> [DVec2; 2] {
         let behind = self.behind(place);
-        let point = self.point(behind, seen);
-        self.then(point, self.aside(behind, point, seen))
+        let (direction, _) = self.before(behind);
+        let point = self.point(direction, seen);
+        let aside = self.aside(behind, point, seen);
+        [0, 1].map(|i| {
+            let then = self.strips[i].0.point(point + aside[i]);
+            self.imaged(then).0.normalize_or_zero().truncate()
+        })
     }
 
     /// From the lens to a place on the sensor.
@@ -153,10 +160,40 @@ impl References {
         self.corner + by_column * place.x + by_row * place.y
     }
 
-    /// Where the ray from there meets the plane, camera's frame.
-    fn point(&self, behind: DVec3, seen: Seen) -> DVec3 {
+    /// Returns the ray before the lens, of any length, that leaves along one behind it, and its derivatives with
+    /// respect to column and row.
+    fn before(&self, behind: DVec3) -> (DVec3, [DVec3; 2]) {
+        let Some(distortion) = &self.distortion else {
+            return (behind, self.steps);
+        };
+        let seen = behind.truncate() / behind.z;
+        let x = distortion.undistort(seen, seen);
+        let scale = distortion.jacobian(x).inverse();
+        let steps = self.steps.map(|step| {
+            let turned = (step.truncate() - seen * step.z) / behind.z;
+            (scale * turned).extend(0.0)
+        });
+        (x.extend(1.0), steps)
+    }
+
+    /// Returns the ray behind the lens, of any length, that images a point, and the matrix that takes a step of
+    /// the point to one of that ray.
+    fn imaged(&self, point: DVec3) -> (DVec3, DMat3) {
+        let Some(distortion) = &self.distortion else {
+            return (point, DMat3::IDENTITY);
+        };
+        let per_mm = 1.0 / point.z;
+        let (imaged, scale) = distortion.continued(point.truncate() * per_mm);
+        let [x, y] = [scale.x_axis * per_mm, scale.y_axis * per_mm];
+        let along = -scale * point.truncate() * (per_mm * per_mm);
+        let by_step = DMat3::from_cols(x.extend(0.0), y.extend(0.0), along.extend(0.0));
+        (imaged.extend(1.0), by_step)
+    }
+
+    /// Returns the intersection of a ray with the plane, camera's frame.
+    fn point(&self, direction: DVec3, seen: Seen) -> DVec3 {
         let (normal, distance) = self.in_camera(seen);
-        behind * (distance / normal.dot(behind))
+        direction * (distance / normal.dot(direction))
     }
 
     /// Normal and distance of a plane in the camera's frame.
@@ -188,14 +225,6 @@ impl References {
         })
     }
 
-    /// Direction cosines of the points beside `point` in the strips' references.
-    fn then(&self, point: DVec3, aside: [DVec3; 2]) -> [DVec2; 2] {
-        [0, 1].map(|i| {
-            let then = self.strips[i].0.point(point + aside[i]);
-            then.normalize_or_zero().truncate()
-        })
-    }
-
     /// The same for all places of the pixel around `centre`; `None` where one of them would see
     /// the plane behind it.
     ///
@@ -207,11 +236,12 @@ impl References {
     /// the lens, and what lies aside changes by ten times the way's share of itself.
     pub fn around(&self, centre: DVec2, seen: Seen) -> Option<Around> {
         let behind = self.behind(centre);
+        let (direction, steps) = self.before(behind);
         let (normal, distance) = self.in_camera(seen);
-        let along = 1.0 / normal.dot(behind);
+        let along = 1.0 / normal.dot(direction);
         let way = distance * along;
-        let point = behind * way;
-        let slants = self.steps.map(|step| normal.dot(step) * along);
+        let point = direction * way;
+        let slants = steps.map(|step| normal.dot(step) * along);
         // Half a pixel away the plane is still before the lens.
         let is_seen = point.is_finite()
             && point.z * self.corner.z > 0.0
@@ -219,7 +249,7 @@ impl References {
         if !is_seen {
             return None;
         }
-        let moves = [0, 1].map(|i| (self.steps[i] - behind * slants[i]) * way);
+        let moves = [0, 1].map(|i| (steps[i] - direction * slants[i]) * way);
         let aside = self.aside(behind, point, seen);
         let furthest = aside[0].length().max(aside[1].length());
         let pitch = (self.steps[1] / self.corner.z).length();
@@ -234,11 +264,14 @@ impl References {
         };
         for (i, aside) in aside.into_iter().enumerate() {
             let then_from_now = &self.strips[i].0;
-            let then = then_from_now.point(point + aside);
+            let (then, by_step) = self.imaged(then_from_now.point(point + aside));
+            if !then.is_finite() {
+                return None;
+            }
             let per_mm = 1.0 / then.length();
             let cosines = then * per_mm;
             let slope = |step: DVec3| {
-                let step = then_from_now.vector(step) * per_mm;
+                let step = by_step * then_from_now.vector(step) * per_mm;
                 (step - cosines * cosines.dot(step)).truncate()
             };
             around.at[i] = cosines.truncate();
@@ -304,6 +337,7 @@ mod tests {
                 focal_length,
                 corner: DVec3::new(-4.0, -3.0, behind),
                 steps: [DVec3::X * 5e-3, DVec3::Y * 5e-3],
+                distortion: None,
                 view: SurfaceView {
                     point: DVec3::Z * DEPTH,
                     normal: DVec3::NEG_Z,

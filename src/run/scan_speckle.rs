@@ -404,22 +404,30 @@ fn step_of_speckle(scene: &Scene, anchor: &Anchor, from: f64, frames: f64) -> Sp
     }
 }
 
-/// How far (direction cosines) what the corners see, as far from the lens as `point` (head's
-/// frame), moves otherwise between two poses than `point` does: where the part turns, and off
-/// the axis, where the cosines of a point that moves by a change by (I − n·nᵀ)·a/L_o.
+/// Returns the largest difference between the motion of a corner's point and the motion of `point` (head's frame), in
+/// direction cosines behind the lens.
+///
+/// The corners' points are taken at the distance of `point`. Motions differ where the part turns, off the axis, where
+/// cosines change by (I − n·nᵀ)·a/L_o for a motion a, and with the local scale of the distortion.
 fn spread(scene: &Scene, point: DVec3, poses: &[Rigid; 2]) -> f64 {
     let camera = &scene.camera;
     let head_from_camera = scene.head_from_camera;
     let [now, then] = poses.map(|part_from_head| part_from_head * head_from_camera);
     let then_from_now = then.inverse() * now;
     let point = head_from_camera.inverse().point(point);
-    let cosines = |p: DVec3| p.normalize_or_zero().truncate();
+    let cosines = |p: DVec3| {
+        let behind = match &camera.lens.distortion {
+            None => p,
+            Some(distortion) => distortion.continued(p.truncate() / p.z).0.extend(1.0),
+        };
+        behind.normalize_or_zero().truncate()
+    };
     let moved = |p: DVec3| cosines(then_from_now.point(p)) - cosines(p);
     let size = camera.sensor.resolution.as_dvec2();
     let corners = [DVec2::ZERO, size.with_y(0.0), size.with_x(0.0), size];
     let ways = corners.map(|corner| {
-        let behind = camera.sensor_point(corner);
-        (moved(behind * (point.z / behind.z)) - moved(point)).length()
+        let seen = camera.direction(corner);
+        (moved(seen * (point.z / seen.z)) - moved(point)).length()
     });
     ways.into_iter().fold(0.0, f64::max)
 }

@@ -229,17 +229,23 @@ impl Image {
 }
 
 pub fn images(geometry: &Geometry, frames: [u32; 2], blur: Blur) -> [Image; 2] {
+    images_of(|speckle| geometry.scene(speckle), frames, blur)
+}
+
+/// Those of a scene with and without speckle.
+pub fn images_of(scene: impl Fn(bool) -> Scene, frames: [u32; 2], blur: Blur) -> [Image; 2] {
     let [with, without] = [true, false].map(|speckle| {
-        let mut scene = geometry.scene(speckle);
+        let mut scene = scene(speckle);
         scene.methods.blur = Some(blur).filter(|_| speckle);
         let simulation = Simulation::new(&scene).unwrap();
         frames.map(|frame| simulation.irradiance(frame).dense())
     });
+    let width = scene(false).camera.sensor.resolution.x as i64;
     [0, 1].map(|k| {
         let both = with[k].iter().zip(&without[k]);
         Image {
             values: both.map(|(a, b)| *a as f64 / *b as f64).collect(),
-            width: geometry.resolution[0],
+            width,
         }
     })
 }
