@@ -133,11 +133,11 @@ fn without_light_or_sight_there_are_no_points() {
 fn assert_finite_ply(bytes: &[u8]) {
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
-    for vertex in bytes[at..].chunks_exact(75) {
+    for vertex in bytes[at..].chunks_exact(79) {
         let doubles = vertex[..24].as_chunks::<8>().0;
         assert!(doubles.iter().all(|b| f64::from_le_bytes(*b).is_finite()));
         // Normal; deviation and what follows it; three bytes of colour lie between.
-        let floats = [&vertex[24..36], &vertex[39..63]].map(|part| part.as_chunks::<4>().0);
+        let floats = [&vertex[24..36], &vertex[39..67]].map(|part| part.as_chunks::<4>().0);
         let mut floats = floats.into_iter().flatten();
         assert!(floats.all(|b| f32::from_le_bytes(*b).is_finite()));
     }

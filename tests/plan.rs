@@ -150,7 +150,7 @@ fn a_chart_takes_images_of_another_program() {
         ),
         (
             r#"[{"frame": 1, "ms": [1], "image": "beside.json"}]"#,
-            "an image (PNG)",
+            "an image (PNG, JPEG",
         ),
         (
             r#"[{"frame": 1, "ms": [1], "image": "/dev/zero"}]"#,

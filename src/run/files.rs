@@ -308,6 +308,7 @@ pub fn names_in(folder: &Path) -> Result<Vec<OsString>> {
 }
 
 /// Removes the files with such names that an earlier run left in `folder`.
+#[cfg(feature = "service")]
 pub fn remove_all(folder: &Path, is_one: impl Fn(&str) -> bool) -> Result<()> {
     for name in names_in(folder)? {
         if is_one(&name.to_string_lossy()) {

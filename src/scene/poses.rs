@@ -143,7 +143,7 @@ pub(super) struct PoseList {
     pub times: Option<Vec<f64>>,
 }
 
-/// The poses of a file in the order of its lines; see [`read`].
+/// The poses of a file in the order of its lines; see `read`.
 pub fn parse(file: &Path, bytes: &[u8]) -> Result<Vec<Rigid>> {
     read(file, bytes, None).map(|list| list.poses)
 }
