@@ -225,7 +225,7 @@ fn cases() -> Vec<Case> {
             "a scan with more points than fit memory",
             "ulimit -v 4000000; lasertrace scan scene.toml -o out",
             75,
-            "lasertrace: the report of a scan of 1000000 frames and about … points, 240 bytes \
+            "lasertrace: the report of a scan of 1000000 frames and about … points, 256 bytes \
              each, takes … GB, and … GB of memory are free: …",
             |folder| changed(folder, FRAMES, MANY_FRAMES),
         ),

@@ -111,7 +111,7 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
                 .unwrap()
                 + 11;
             // Three doubles, seven floats, three bytes of colour, three integers.
-            bytes.len() - header == vertices * 75
+            bytes.len() - header == vertices * 79
         }
         // Its own checksums say how much of it is whole: tests/resume.rs.
         "journal" => true,

@@ -12,7 +12,7 @@ use super::{Mesh, Source, memory};
 use crate::error::{Error, Place, printable};
 use crate::math::DVec3;
 use glam::{DAffine3, DMat3};
-use package::{Element, Package, WHOLE, wrong};
+use package::{CORE, Element, Package, WHOLE, wrong};
 use slicers::{Roles, is_negative};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
@@ -20,7 +20,6 @@ use std::collections::{BTreeMap, HashMap};
 mod package;
 mod slicers;
 
-const CORE: &str = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02";
 const PRODUCTION: &str = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06";
 const SLICES: &str = "http://schemas.microsoft.com/3dmanufacturing/slice/2015/07";
 const RELATIONSHIPS: &str = "http://schemas.openxmlformats.org/package/2006/relationships";

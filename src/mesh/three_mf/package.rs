@@ -11,6 +11,8 @@ use std::io::{BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
+pub(super) const CORE: &str = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02";
+
 pub(super) const WHOLE: &str = "a whole 3MF file";
 
 pub(super) fn wrong(source: &Source, found: String, expected: &str) -> Error {
@@ -134,7 +136,7 @@ impl<'a> Package<'a> {
                     let found = format!("elements {DEEPEST} deep");
                     return Err(wrong(found, "fewer"));
                 }
-                let core = of == super::CORE;
+                let core = of == CORE;
                 let own = element.name;
                 around.push(if core { own.to_owned() } else { String::new() });
             }
