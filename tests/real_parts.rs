@@ -231,7 +231,7 @@ fn read_cloud(path: &Path) -> Vec<Measured> {
         + 11;
     let number = |record: &[u8], at: usize| -> [u8; 4] { record[at..at + 4].try_into().unwrap() };
     bytes[header..]
-        .chunks_exact(75)
+        .chunks_exact(79)
         .map(|record| {
             let [deviation, sigma] = [39, 47].map(|at| f32::from_le_bytes(number(record, at)));
             // OUTSIDE says nothing of the peak.

@@ -128,7 +128,8 @@ fn small_scene(folder: &Path) -> PathBuf {
 /// The PNG that `render` writes of a frame of a scene file.
 fn rendered(scene: &Path, frame: u32, folder: &Path) -> Vec<u8> {
     let scene = Scene::load(scene).unwrap();
-    let summary = run::render(&scene, frame, Coverage::Footprint, folder, &control()).unwrap();
+    let out = folder.join("out");
+    let summary = run::render(&scene, frame, Coverage::Footprint, &out, &control()).unwrap();
     fs::read(summary.png).unwrap()
 }
 

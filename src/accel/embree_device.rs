@@ -44,7 +44,10 @@ thread_local! {
 /// The devices in use, each with its process and its number of threads. Embree reserves
 /// storage in every thread for each device, which runs out at about a thousand devices. The
 /// threads of a device are not in a child made by `fork`, which gets devices of its own.
-static DEVICES: Mutex<Vec<((u32, usize), Weak<Device>)>> = Mutex::new(Vec::new());
+static DEVICES: Mutex<Vec<(DeviceKey, Weak<Device>)>> = Mutex::new(Vec::new());
+
+/// Process and number of threads.
+type DeviceKey = (u32, usize);
 
 fn error(code: ffi::RTCError, text: &str) -> Error {
     let text = format!("{text} (error {code})");

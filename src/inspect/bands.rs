@@ -402,7 +402,7 @@ mod tests {
                 };
                 let mut point = point(x, deviation, 0.005);
                 point.position.y = 10.0 * key.uniform(3 * i);
-                if i % 100 == 0 {
+                if i.is_multiple_of(100) {
                     (point.flags, point.deviation) = (Flags::SATURATED, 5.0);
                 }
                 point

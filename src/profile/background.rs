@@ -49,28 +49,34 @@ pub fn least_height(pixels: usize, noise: f64) -> f64 {
     detection_sigmas(pixels) * noise.max(ROUNDING)
 }
 
-/// Returns the background of a column with this histogram. The [`dark_rows`] give it if a line exceeds
-/// that background over [`LINE_ROWS`], and all rows otherwise. `scratch` is an empty histogram and is
-/// empty again afterwards.
+/// Returns the background of a column with this histogram, by all rows. If no count exceeds its threshold, a wide line
+/// may have raised the scale of the noise: then the [`dark_rows`] give the background if a line exceeds it over
+/// [`LINE_ROWS`]. `scratch` is an empty histogram and is empty again afterwards.
 pub(super) fn background(
     column: &Column,
     z: f64,
     histogram: &Histogram,
     scratch: &mut Histogram,
 ) -> Background {
-    if let Some(counts) = dark_rows(column, histogram) {
-        let dark = Column::from(&counts[..]);
-        scratch.count(&dark, counts.iter().copied().max().unwrap_or(0));
-        let start = Start::of(counts.len(), scratch);
-        scratch.clear(&dark, None);
-        let found = background_from(&start, z, histogram);
-        // Few dark rows may have less noise than the column: its own noise is then no line.
-        let level = found.mean + 4.0 * found.noise;
-        if longest_run(column, level as u16) >= line_rows(column) {
-            return found;
-        }
+    let of_all = background_from(&Start::of(column.rows(), histogram), z, histogram);
+    let highest = histogram.value(column.rows().saturating_sub(1));
+    if f64::from(highest) > of_all.mean + of_all.threshold {
+        return of_all;
     }
-    background_from(&Start::of(column.rows(), histogram), z, histogram)
+    let Some(counts) = dark_rows(column, histogram) else {
+        return of_all;
+    };
+    let dark = Column::from(&counts[..]);
+    scratch.count(&dark, counts.iter().copied().max().unwrap_or(0));
+    let start = Start::of(counts.len(), scratch);
+    scratch.clear(&dark, None);
+    let found = background_from(&start, z, histogram);
+    // Few dark rows may have less noise than the column: its own noise is then no line.
+    let level = found.mean + 4.0 * found.noise;
+    match longest_run(column, level as u16) >= line_rows(column) {
+        true => found,
+        false => of_all,
+    }
 }
 
 /// Returns the mean and standard deviation of the counts within four standard deviations of the

@@ -190,9 +190,9 @@ pub fn part_picture(
     for pixel in values.chunk_by(|a, b| a.0 == b.0) {
         medians[pixel[0].0 as usize] = median(pixel.iter().map(|&(_, value)| f64::from(value)));
     }
-    for i in 0..pixels.len() {
+    for (i, pixel) in pixels.iter_mut().enumerate() {
         if let Some(value) = pixel_value(&medians, width, i) {
-            pixels[i] = color(value);
+            *pixel = color(value);
         }
     }
     PartPicture {

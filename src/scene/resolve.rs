@@ -345,6 +345,10 @@ impl PartMesh {
 
 impl Resolver<'_> {
     /// `like` is a scene with the same part.
+    #[expect(
+        clippy::too_many_lines,
+        reason = "one table of the scene after the other"
+    )]
     fn scene(
         self,
         file: SceneFile,

@@ -89,6 +89,7 @@ fn all_series(longest_ms: f64) -> Vec<Series> {
 
 /// Writes `images/*.png`, `EMVA1288descriptor.txt` and `emva.json`: series at constant light over rising exposures up to beyond saturation, at
 /// the exposure of the sensor's file, each with one in the dark. Errors: a sensor without noise; files.
+#[expect(clippy::too_many_lines, reason = "one image set after the other")]
 pub fn emva<'a>(
     sensor: &Path,
     seed: Option<u64>,

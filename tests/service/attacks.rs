@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one attack after the other")]
 fn no_path_of_a_client_reaches_the_file_system() {
     let store = tempfile::tempdir().unwrap();
     let served = Served::start(&store.path().join("store"), &[]);

@@ -64,6 +64,10 @@ impl<'a> Package<'a> {
     }
 
     /// Calls `take` for each element of an XML file, in the file's order.
+    #[expect(
+        clippy::too_many_lines,
+        reason = "one case of XML events after the other"
+    )]
     pub fn elements(
         &mut self,
         name: &str,

@@ -172,7 +172,11 @@ impl Acceptance {
         out: impl Into<OutputFolder<'a>>,
         control: &Control,
     ) -> Result<AcceptSummary> {
-        let inputs = [&self.plate.scene.inputs[..], &[self.sensor.clone()]].concat();
+        let inputs = [
+            &self.plate.scene.inputs[..],
+            std::slice::from_ref(&self.sensor),
+        ]
+        .concat();
         let names = Names::of(["accept.json", "report.html"]);
         let out = out.into().claim(&inputs, &names)?.path;
         let characteristics = self.characteristics(seeds, control)?;
