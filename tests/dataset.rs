@@ -80,8 +80,6 @@ fn threads_shards_and_losses_change_no_byte() {
     );
 }
 
-/// The files in a tar, by name.
-
 /// Bytes that changed on the disk are found by the SHA-256 of the index: a run makes its own files again, and refuses
 /// to call the set whole while another shard's are damaged.
 #[test]

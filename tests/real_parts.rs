@@ -235,11 +235,11 @@ fn read_cloud(path: &Path) -> Vec<Measured> {
         .map(|record| {
             let [deviation, sigma] = [39, 47].map(|at| f32::from_le_bytes(number(record, at)));
             // OUTSIDE says nothing of the peak.
-            let flagged = record[71] & !64 != 0;
+            let flagged = record[75] & !64 != 0;
             let axis = |at: usize| f64::from_le_bytes(record[at..at + 8].try_into().unwrap());
             Measured {
-                frame: u32::from_le_bytes(number(record, 63)),
-                column: u32::from_le_bytes(number(record, 67)),
+                frame: u32::from_le_bytes(number(record, 67)),
+                column: u32::from_le_bytes(number(record, 71)),
                 position: DVec3::new(axis(0), axis(8), axis(16)),
                 deviation: deviation as f64,
                 says_so: flagged || deviation.abs() <= 6.0 * sigma,

@@ -141,6 +141,7 @@ fn of_the_part(draw: &Draw, base: &str) -> Vec<Case> {
     ]
 }
 
+#[expect(clippy::too_many_lines, reason = "one mistake after the other")]
 fn of_the_sensor(draw: &Draw, base: &str) -> Vec<Case> {
     let fine = changed(base, "[320, 128]", "[640, 256]");
     let fine = changed(&fine, "pixel_pitch_um = 22", "pixel_pitch_um = 11");

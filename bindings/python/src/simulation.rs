@@ -44,6 +44,9 @@ pub struct Simulation {
     threads: usize,
 }
 
+/// A function that makes a simulation, and its arguments, for pickle.
+type Reduced = (Py<PyAny>, (Py<Scene>, usize));
+
 #[pymethods]
 impl Simulation {
     #[new]
@@ -83,7 +86,7 @@ impl Simulation {
     }
 
     /// For pickle: scene and threads. The hierarchy is built again.
-    fn __reduce__(&self, py: Python<'_>) -> PyResult<(Py<PyAny>, (Py<Scene>, usize))> {
+    fn __reduce__(&self, py: Python<'_>) -> PyResult<Reduced> {
         let make = py.import("lasertrace")?.getattr("_unpickled_simulation")?;
         Ok((make.unbind(), (self.scene.clone_ref(py), self.threads)))
     }
