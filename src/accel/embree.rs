@@ -22,7 +22,7 @@ use std::sync::{Arc, Mutex};
 pub struct Tree {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
-    pub(super) device: Arc<Device>,
+    pub(super) device: Device,
     /// The scene refers to its triangles, or to the quads if there are any.
     mesh: Arc<Mesh>,
     quads: Option<Quads>,
@@ -77,14 +77,14 @@ impl Tree {
         threads: usize,
         watch: &Watch,
     ) -> Result<Tree> {
-        let tree = Tree::filled(Device::shared(threads)?, mesh, Quads::of(mesh), part, true)?;
+        let tree = Tree::filled(Device::new(threads)?, mesh, Quads::of(mesh), part, true)?;
         tree.commit(watch)?;
         Ok(tree)
     }
 
     /// A scene of the mesh, or of its triangles in pairs, that is still to be committed.
     pub(super) fn filled(
-        device: Arc<Device>,
+        device: Device,
         mesh: &Arc<Mesh>,
         quads: Option<Quads>,
         part: &PartBox,

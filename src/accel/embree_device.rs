@@ -3,9 +3,8 @@
 #![allow(unsafe_code)]
 
 use crate::error::{Error, Result};
-use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char, c_void};
-use std::sync::{Arc, Mutex, TryLockError, Weak};
+use std::sync::{Arc, Mutex};
 
 #[allow(
     dead_code,
@@ -34,20 +33,8 @@ pub fn version() -> String {
     version_string(unsafe { ffi::lt_header_version() })
 }
 
-thread_local! {
-    /// The first error that Embree reported to this thread since [`Device::check`], and its
-    /// code. Embree reports an error on the thread that called it, so threads that use one
-    /// device do not see each other's errors.
-    static FIRST: RefCell<Option<(ffi::RTCError, String)>> = const { RefCell::new(None) };
-}
-
-/// The devices in use, each with its process and its number of threads. Embree reserves
-/// storage in every thread for each device, which runs out at about a thousand devices. The
-/// threads of a device are not in a child made by `fork`, which gets devices of its own.
-static DEVICES: Mutex<Vec<(DeviceKey, Weak<Device>)>> = Mutex::new(Vec::new());
-
-/// Process and number of threads.
-type DeviceKey = (u32, usize);
+/// The first error Embree reported since it was last asked, and its code.
+type ErrorSlot = Mutex<Option<(ffi::RTCError, String)>>;
 
 fn error(code: ffi::RTCError, text: &str) -> Error {
     let text = format!("{text} (error {code})");
@@ -57,52 +44,32 @@ fn error(code: ffi::RTCError, text: &str) -> Error {
     }
 }
 
-unsafe extern "C" fn record_error(_: *mut c_void, code: ffi::RTCError, text: *const c_char) {
-    let text = if text.is_null() {
-        "no text".into()
-    } else {
-        // SAFETY: a C string of Embree's, which outlives the call.
-        unsafe { CStr::from_ptr(text) }.to_string_lossy()
+unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
+    // SAFETY: `slot` is the ErrorSlot given to lt_device_on_error, which lives as
+    // long as the device and is only read through shared references; `text` is NULL or a C string of Embree's.
+    let (slot, text) = unsafe {
+        let text = if text.is_null() {
+            "no text".into()
+        } else {
+            CStr::from_ptr(text).to_string_lossy()
+        };
+        (&*(slot as *const ErrorSlot), text)
     };
-    // A thread that is about to end has nothing left to report to.
-    let _ = FIRST.try_with(|first| {
-        let mut first = first.borrow_mut();
-        first.get_or_insert_with(|| (code, text.into_owned()));
-    });
+    let mut first = slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    first.get_or_insert_with(|| (code, text.into_owned()));
 }
 
 pub(super) struct Device {
     pub(super) handle: ffi::RTCDevice,
     /// Rays that are traced together.
     pub(super) packet: u32,
+    // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
+    error: Arc<ErrorSlot>,
 }
 
-// SAFETY: Embree's devices may be used from any thread, and counts their references itself.
-unsafe impl Send for Device {}
-// SAFETY: as above: objects of one device may be made by many threads at once.
-unsafe impl Sync for Device {}
-
 impl Device {
-    /// Returns the device that builds with `threads` threads: the one in use, or a new one.
-    pub(super) fn shared(threads: usize) -> Result<Arc<Device>> {
-        // More than the machine has are never used.
-        let most = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
-        let key = (std::process::id(), threads.min(most));
-        let made = || Device::configured(&format!("threads={}", key.1)).map(Arc::new);
-        // Not waited for: in a child by `fork` the thread that holds it may be absent.
-        let mut devices = match DEVICES.try_lock() {
-            Ok(devices) => devices,
-            Err(TryLockError::Poisoned(devices)) => devices.into_inner(),
-            Err(TryLockError::WouldBlock) => return made(),
-        };
-        devices.retain(|(_, device)| device.strong_count() > 0);
-        let mut same = devices.iter().filter(|(other, _)| *other == key);
-        if let Some(device) = same.find_map(|(_, device)| device.upgrade()) {
-            return Ok(device);
-        }
-        let device = made()?;
-        devices.push((key, Arc::downgrade(&device)));
-        Ok(device)
+    pub(super) fn new(threads: usize) -> Result<Device> {
+        Device::configured(&format!("threads={threads}"))
     }
 
     /// With settings as `rtcNewDevice` takes them.
@@ -114,9 +81,12 @@ impl Device {
         if handle.is_null() {
             return Err(error(code, "cannot start"));
         }
-        // SAFETY: the handle is a live device; `record_error` reads nothing of the pointer.
+        let slot = Arc::new(ErrorSlot::default());
+        let user = Arc::as_ptr(&slot) as *mut c_void;
+        // SAFETY: the handle is a live device; the slot stays where it is as long as
+        // the device holds it, which `drop` releases before the slot.
         let (header, library, packet) = unsafe {
-            ffi::lt_device_on_error(handle, Some(record_error), std::ptr::null_mut());
+            ffi::lt_device_on_error(handle, Some(record_error), user);
             let packet = ffi::lt_packet_width(handle);
             (
                 ffi::lt_header_version(),
@@ -124,14 +94,22 @@ impl Device {
                 packet,
             )
         };
-        let device = Device { handle, packet };
+        let device = Device {
+            handle,
+            packet,
+            error: slot,
+        };
         check_versions(header, library)?;
         Ok(device)
     }
 
-    /// Takes the error that Embree reported to this thread, if any.
+    /// What Embree reported, if anything.
     pub(super) fn check(&self) -> Result<()> {
-        match FIRST.take() {
+        let mut first = self
+            .error
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner());
+        match first.take() {
             None => Ok(()),
             Some((code, text)) => Err(error(code, &text)),
         }
@@ -171,29 +149,13 @@ mod tests {
         );
     }
 
-    /// Hierarchies built with the same number of threads use one device.
-    #[test]
-    fn hierarchies_use_one_device() {
-        let devices = [1, 1, 1].map(|threads| Device::shared(threads).unwrap());
-        assert!(
-            devices
-                .iter()
-                .all(|device| Arc::ptr_eq(device, &devices[0]))
-        );
-        let many = [usize::MAX, 1 << 20].map(|threads| Device::shared(threads).unwrap());
-        assert!(Arc::ptr_eq(&many[0], &many[1]));
-    }
-
     #[test]
     fn an_error_of_embree_becomes_an_error() {
-        let device = Device::shared(1).unwrap();
+        let device = Device::new(1).unwrap();
         assert!(device.check().is_ok());
-        // SAFETY: the text is a C string.
-        unsafe { record_error(std::ptr::null_mut(), 4, c"out of memory".as_ptr()) };
-        std::thread::scope(|scope| {
-            let other = scope.spawn(|| device.check().is_ok());
-            assert!(other.join().unwrap(), "an error of another thread");
-        });
+        let slot = Arc::as_ptr(&device.error) as *mut c_void;
+        // SAFETY: the slot is alive and the text a C string.
+        unsafe { record_error(slot, 4, c"out of memory".as_ptr()) };
         let error = device.check().unwrap_err();
         assert!(error.to_string().contains("out of memory"), "{error}");
         assert_eq!(error.exit_code(), 75);

@@ -9,7 +9,6 @@
 
 mod buffers;
 mod cast;
-mod environment;
 mod handles;
 mod simulate;
 mod status;

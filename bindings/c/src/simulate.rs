@@ -2,7 +2,6 @@
 
 use crate::buffers::{Plain, addresses, apart, one, same_number, set, text, write};
 use crate::cast::pool;
-use crate::environment::as_caller;
 use crate::handles::{self, Handle};
 use crate::status::{Failure, Outcome, enter, lasertrace_status};
 use lasertrace_core::inspect::cloud::CloudPoint;
@@ -279,10 +278,8 @@ pub unsafe extern "C" fn lasertrace_simulation_frames(
         // SAFETY: by the caller's word.
         let work = unsafe { buffers(wanted, frame_count as usize, pixels, columns)? };
         simulator.take(first_frame, frame_count, work, |done| {
-            as_caller(|| {
-                // SAFETY: by the caller's word.
-                progress.is_some_and(|report| unsafe { report(done, frame_count, user) } != 0)
-            })
+            // SAFETY: by the caller's word.
+            progress.is_some_and(|report| unsafe { report(done, frame_count, user) } != 0)
         })
     })
 }

@@ -1,6 +1,5 @@
 //! How a call went: a status for the program, a sentence for the person.
 
-use crate::environment;
 use lasertrace_core::Error;
 use std::any::Any;
 use std::cell::RefCell;
@@ -78,13 +77,10 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Runs the body of a function and stores the error message; a panic becomes a status. The caller's
-/// floating-point environment has no effect on the work, and is left as it was.
+/// Does what a function is for and keeps what went wrong; a panic is a status too.
 pub fn enter(function: &str, body: impl FnOnce() -> Outcome) -> lasertrace_status {
     // What a panic may leave half done are the caller's buffers, and a status says so.
-    let body = || environment::same_process().and_then(|()| body());
-    let done = environment::shielded(|| catch_unwind(AssertUnwindSafe(body)));
-    let failure = match done {
+    let failure = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return lasertrace_status::Ok,
         Ok(Err(failure)) => failure,
         Err(panic) => Failure {
