@@ -54,7 +54,7 @@ fn stages(c: &mut Criterion) {
     group.bench_function("peaks, points, deviation", |b| {
         b.iter(|| simulation.measure_near_light(FRAME, &near))
     });
-    group.bench_function("png", |b| b.iter(|| encode_counts(&counts)));
+    group.bench_function("png", |b| b.iter(|| encode_counts(&counts, 1023)));
     group.finish();
     let frame = |view| {
         let start = Instant::now();
