@@ -212,7 +212,7 @@ pub fn parse(path: &Path, bytes: &[u8], unit_mm: impl Into<Option<f64>>) -> Resu
     parse_whole(path, bytes, unit_mm).map(|contents| contents.mesh)
 }
 
-/// What a mesh file holds.
+/// The contents of a mesh file.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {

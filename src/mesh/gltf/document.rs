@@ -62,7 +62,7 @@ pub struct Node {
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
-    /// Weights of the mesh's morph targets, in place of the mesh's own.
+    /// Weights of the mesh's morph targets, which replace the weights of the mesh.
     pub weights: Option<Vec<f64>>,
     pub extensions: Option<Box<Extensions>>,
 }

@@ -197,7 +197,7 @@ struct Placed<'a> {
 }
 
 impl<'a> File<'a> {
-    /// What has triangles, and how it is placed; in the file's order.
+    /// Nodes with triangles and their poses, in the order of the file.
     fn placed(&self, ignored: &mut Collector) -> Result<Vec<Placed<'a>>, Error> {
         let file = self.document;
         if file.scenes.is_empty() {

@@ -423,7 +423,7 @@ impl Element<'_> {
     }
 }
 
-/// What is placed, in the part.
+/// Objects with their poses in the part.
 struct Build<'a> {
     source: &'a Source<'a>,
     models: &'a BTreeMap<String, Model>,

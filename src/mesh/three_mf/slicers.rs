@@ -16,7 +16,7 @@ const BAMBU: &str = "Metadata/model_settings.config";
 pub struct Roles {
     /// First and last triangle of each by its object, and what it is.
     ranges: HashMap<String, Vec<(usize, usize, String)>>,
-    /// What components are, by their object and the object that they place.
+    /// Roles of components, by their object and the object that they place.
     components: HashMap<(String, String), String>,
 }
 
@@ -91,7 +91,7 @@ impl Roles {
         self.ranges.get(object).map_or(&[], |ranges| ranges)
     }
 
-    /// What a component of an object is, if it is not solid.
+    /// Returns the role of a component that is not solid.
     pub fn component(&self, object: &str, placed: &str) -> Option<&str> {
         if self.components.is_empty() {
             return None;
