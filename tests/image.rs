@@ -3,13 +3,16 @@
 mod cameras;
 
 use glam::UVec2;
-use lasertrace::accel::Accel;
+use lasertrace::accel::{Accel, Ray};
 use lasertrace::camera::{Camera, Distortion};
-use lasertrace::frame::{Grid, LensBlur, Region, Sampling, View, irradiance};
+use lasertrace::frame::{Blur, Grid, LensBlur, Region, Sampling, View, irradiance};
+use lasertrace::inspect::cloud::CloudPoint;
 use lasertrace::laser::{Beam, CUTOFF_RADII, Fan, FanProfile, Laser};
 use lasertrace::math::rng::{Key, Purpose};
 use lasertrace::math::{DVec2, DVec3, Rigid};
 use lasertrace::mesh::{Mesh, shapes};
+use lasertrace::run::Simulation;
+use lasertrace::scene::Scene;
 use lasertrace::surface::Lambert;
 use std::f64::consts::PI;
 
@@ -349,4 +352,374 @@ fn a_distorting_lens_takes_in_what_its_entrance_pupil_does() {
     }
     // And the lenses do concentrate light.
     assert!(greatest > 0.02, "{greatest}");
+}
+
+/// A plane of 20 mm through the origin, turned about x, y and z; the line of a laser 150 mm above it; and a camera that
+/// looks at the origin from 150 mm, `angle` to the sheet, at 10 µm a pixel.
+struct Slope {
+    turned_deg: [f64; 3],
+    angle: f64,
+    waist_um: f64,
+    resolution: [u32; 2],
+    keys: String,
+}
+
+impl Slope {
+    /// Drawn until `accepted` holds for the angles (degrees) to laser and camera of a plane's normal.
+    fn drawn(seed: u64, accepted: impl Fn(f64, f64) -> bool) -> Slope {
+        let key = Key::new(seed, Purpose::SensorNoise);
+        let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
+        let angle = between(0, 25f64.to_radians(), 45f64.to_radians());
+        let turned = |i: u64| {
+            let degrees = [0, 1].map(|k| between(3 + 2 * i + k, -88.0, 88.0));
+            let normal = Rigid::from_euler_xyz(
+                DVec3::new(degrees[0].to_radians(), degrees[1].to_radians(), 0.0),
+                DVec3::ZERO,
+            )
+            .vector(DVec3::Z);
+            let camera = DVec3::new(0.0, -angle.sin(), angle.cos());
+            let to = |v: DVec3| normal.dot(v).acos().to_degrees();
+            accepted(to(DVec3::Z), to(camera)).then_some([degrees[0], degrees[1], 0.0])
+        };
+        Slope {
+            turned_deg: (0..).find_map(turned).unwrap(),
+            angle,
+            waist_um: between(1, 30.0, 60.0),
+            resolution: [40, 160],
+            keys: String::new(),
+        }
+    }
+
+    fn scene(&self) -> Scene {
+        let (sin, cos) = self.angle.sin_cos();
+        let text = format!(
+            r#"seed = 1
+speckle = false
+[part]
+plane = {{ size_mm = [20, 20] }}
+rotation_deg = {:?}
+reflectance = 0.5
+[laser]
+wavelength_nm = 660
+power_mw = 5
+waist_radius_um = {:?}
+waist_distance_mm = 150
+position_mm = [0, 0, 150]
+direction = [0, 0, -1]
+line = {{ fan_deg = 7, profile = "uniform", direction = [1, 0, 0] }}
+[camera]
+focal_length_mm = 50
+f_number = 8
+focus_distance_mm = 150
+resolution_px = {:?}
+pixel_pitch_um = 5
+position_mm = [0, {:?}, {:?}]
+look_at_mm = [0, 0, 0]
+columns = [1, 0, 0]
+exposure_ms = 0.1
+quantum_efficiency = 0.5
+gain_dn_per_e = 0.05
+bit_depth = 12
+full_well_e = 80000
+{}
+[scan]
+direction = [0, 1, 0]
+step_mm = 0.01
+frames = 1
+[plan]
+blur = "none"
+"#,
+            self.turned_deg,
+            self.waist_um,
+            self.resolution,
+            -150.0 * sin,
+            150.0 * cos,
+            self.keys,
+        );
+        Scene::parse(&text, "".as_ref()).unwrap()
+    }
+}
+
+/// Irradiance at a place on the sensor of a plane, by the laser's closed form.
+fn on_plane(view: &View, (point, normal): (DVec3, DVec3), place: DVec2) -> f64 {
+    let eye = view.part_from_camera.translation;
+    let direction = view.part_from_camera.vector(view.camera.direction(place));
+    let seen = eye + direction * (normal.dot(point - eye) / normal.dot(direction));
+    let light = view.laser.at(view.part_from_laser.inverse().point(seen));
+    let received = light.map_or(0.0, |light| {
+        -view.part_from_laser.vector(light.flux).dot(normal)
+    });
+    0.5 / PI * received.max(0.0) * view.camera.pupil_solid_angle(place)
+}
+
+/// Its mean over each pixel by 32 × 32 places, row by row.
+fn means_on_plane(view: &View) -> Vec<f64> {
+    const SIDE: usize = 32;
+    let size = view.camera.sensor.resolution;
+    let ray = Ray {
+        origin: view.part_from_camera.translation,
+        direction: view.part_from_camera.rotation.z_axis,
+        t_max: f64::INFINITY,
+    };
+    let hit = view.accel.closest(&[ray], |_, _| true)[0].expect("the plane");
+    let plane = (hit.point, hit.normal);
+    let laser_from_part = view.part_from_laser.inverse();
+    let off_sheet = |place: DVec2| {
+        let direction = view.part_from_camera.vector(view.camera.direction(place));
+        let way = plane.1.dot(plane.0 - ray.origin) / plane.1.dot(direction);
+        laser_from_part.point(ray.origin + direction * way).y
+    };
+    let mean = |i: u32| {
+        let corner = DVec2::new((i % size.x) as f64, (i / size.x) as f64);
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            .map(|(x, y)| off_sheet(corner + DVec2::new(x as f64, y as f64)));
+        let nearest = corners.iter().fold(f64::INFINITY, |a, b| a.min(b.abs()));
+        let one_side = corners.iter().all(|y| (*y > 0.0) == (corners[0] > 0.0));
+        if one_side && nearest > 5.0 * view.laser.beam.waist_radius {
+            return 0.0;
+        }
+        let place = |k: usize| DVec2::new((k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5);
+        let values =
+            (0..SIDE * SIDE).map(|k| on_plane(view, plane, corner + place(k) / SIDE as f64));
+        values.sum::<f64>() / (SIDE * SIDE) as f64
+    };
+    (0..size.x * size.y).map(mean).collect()
+}
+
+/// Light and centroid of each column.
+fn columns_of(image: &[f64], width: usize) -> Vec<[f64; 2]> {
+    let column = |x: usize| {
+        let rows = (0..image.len() / width).map(|y| (y as f64 + 0.5, image[y * width + x]));
+        let sums = rows.fold([0.0; 2], |[sum, moment], (y, v)| [sum + v, moment + v * y]);
+        [sums[0], sums[1] / sums[0]]
+    };
+    (0..width).map(column).collect()
+}
+
+/// Planes at 80° to 85° to the camera, whose line is seen 2 to 10 times as narrow as across the beam, and walls at
+/// 80° to the light, each with the samples that the plan chooses, and with one and three rays a pixel along each side: pixels,
+/// light of columns and their centroids are those of the closed form. A sample has the mean of the beam's profile over its
+/// cell where it would move the centroid by 10⁻³ px or more, so that elsewhere light may be off by 5·10⁻⁴ (an alias a of the light is
+/// one of the centroid of 4πσ²a, σ = 0.6 px); over a pixel the profile is taken as one of a uniform change, which
+/// perspective at 85° bends by 2·10⁻³ (tan 85° · 10 µm/150 mm, twice) of the change. The reference errs by (1/32)²/24
+/// of the light's slope over a pixel, 4·10⁻⁵/σ: 4·10⁻⁴ at 0.1 px. Together 3·10⁻³ of the brightest pixel.
+#[test]
+fn steep_planes_have_the_light_of_the_closed_form() {
+    for seed in 1..=4 {
+        let to_camera = |laser: f64, camera: f64| laser < 75.0 && (80.0..85.0).contains(&camera);
+        let to_light = |laser: f64, camera: f64| (79.0..81.0).contains(&laser) && camera < 84.0;
+        for slope in [Slope::drawn(seed, to_camera), Slope::drawn(seed, to_light)] {
+            let scene = slope.scene();
+            let reference = means_on_plane(&Simulation::new(&scene).unwrap().view(0));
+            let brightest = reference.iter().copied().fold(0.0, f64::max);
+            for method in [None, Some((Sampling::Rays, 1)), Some((Sampling::Rays, 3))] {
+                let mut scene = scene.clone();
+                scene.methods.sampling = method.map(|(sampling, _)| sampling);
+                scene.methods.samples_per_side = method.map(|(_, side)| side);
+                let simulation = Simulation::new(&scene).unwrap();
+                let image: Vec<f64> = (simulation.irradiance(0).dense().iter())
+                    .map(|&e| e as f64)
+                    .collect();
+                let pixels = image.iter().zip(&reference).map(|(a, b)| (a - b).abs());
+                let worst = pixels.fold(0.0, f64::max) / brightest;
+                let width = slope.resolution[0] as usize;
+                let both = columns_of(&image, width)
+                    .into_iter()
+                    .zip(columns_of(&reference, width));
+                // Where the sensor sees the line.
+                let both: Vec<_> = both.filter(|(_, b)| b[0] > 0.5 * brightest).collect();
+                assert!(!both.is_empty());
+                let light = both.iter().map(|(a, b)| (a[0] / b[0] - 1.0).abs());
+                let light = light.fold(0.0, f64::max);
+                let centroid = both.iter().map(|(a, b)| (a[1] - b[1]).abs());
+                let centroid = centroid.fold(0.0, f64::max);
+                println!(
+                    "{seed} {:.1?} waist {:.0} µm, {method:?}: pixels {worst:.1e} of the brightest, light {light:.1e}, \
+                     centroid {centroid:.1e} px",
+                    slope.turned_deg, slope.waist_um
+                );
+                // One place in a pixel is not its mean, but sums over columns are those of the means.
+                let pixels_count = simulation.plan.samples_per_side >= 3;
+                assert!(worst < 3e-3 || !pixels_count, "{seed}");
+                assert!(light < 3e-3 && centroid < 3e-3, "{seed}");
+            }
+        }
+    }
+}
+
+/// Points on planes at 80° to 85° to the camera, without speckle: no more than one in twenty lies further from the plane
+/// than 1.96 of its stated uncertainty, and three standard deviations of the binomial distribution more.
+#[test]
+fn points_on_steep_planes_are_as_sure_as_they_say() {
+    for seed in 11..=14 {
+        let to_camera = |laser: f64, camera: f64| laser < 75.0 && (80.0..85.0).contains(&camera);
+        let mut slope = Slope::drawn(seed, to_camera);
+        slope.waist_um *= 1.5;
+        slope.resolution = [240, 200];
+        slope.keys = "read_noise_e = 10".into();
+        let mut scene = slope.scene();
+        let simulation = Simulation::new(&scene).unwrap();
+        let brightest = (simulation.irradiance(0).dense().into_iter()).fold(0.0, f32::max) as f64;
+        let sensor = &scene.camera.sensor;
+        let electrons = brightest * sensor.electrons_per_irradiance(660e-6);
+        scene.camera.sensor.exposure_ms *= 40_000.0 / electrons;
+        let simulation = Simulation::new(&scene).unwrap();
+        let (_, _, points) = simulation.take(0);
+        let is_within = |point: &&CloudPoint| point.deviation.abs() <= 1.96 * point.deviation_sigma;
+        let within = points.iter().filter(is_within).count();
+        let valid = points.iter().filter(|point| point.flags.is_valid()).count();
+        let mean = |of: fn(&CloudPoint) -> f64| {
+            let square = points.iter().map(|point| of(point).powi(2)).sum::<f64>();
+            1e3 * (square / points.len() as f64).sqrt()
+        };
+        println!(
+            "{seed} {:.1?} waist {:.0} µm: {} points, {valid} valid, {within} within, {:.2} µm off, {:.2} µm stated, \
+             width {:.2} px, {}",
+            slope.turned_deg,
+            slope.waist_um,
+            points.len(),
+            mean(|point| point.deviation),
+            mean(|point| point.deviation_sigma),
+            points[points.len() / 2].width,
+            points[points.len() / 2].flags,
+        );
+        let count = points.len() as f64;
+        let least = 0.95 * count - 3.0 * (0.95 * 0.05 * count).sqrt();
+        assert!(count > 100.0 && within as f64 >= least, "{seed}");
+    }
+}
+
+/// Through a lens that is out of focus, on sensors tilted by up to 15°, a line on sixteen plates that rise like stairs over all
+/// rows is the sum of its pieces, each imaged alone: light is blurred by its own place, whatever other light is
+/// around. The pupil and the blur that a piece has may each be off by 0.5 % of its peak, in one image and in the other.
+#[test]
+fn blur_depends_on_no_other_light() {
+    for (seed, tilt_deg) in [(1, 5.0), (2, 10.0), (3, 15.0), (4, -10.0), (5, 0.0)] {
+        let key = Key::new(seed, Purpose::SensorNoise);
+        let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
+        let mut camera = camera(64, 460, tilt_deg);
+        camera.lens.focal_length = 20.0;
+        camera.lens.focus_distance = between(0, 105.0, 115.0);
+        camera.sensor.pixel_pitch = 0.01;
+        let rise = between(1, 8.0, 10.0);
+        let plates: Vec<f64> = (0..16).map(|i| 0.26 * (i as f64 - 8.0)).collect();
+        let image = |plates: &[f64]| {
+            let corners = plates.iter().flat_map(|&x| {
+                let corner = |(a, y)| DVec3::new(x + a, y, rise * x);
+                [(0.0, -0.6), (0.2, -0.6), (0.2, 0.6), (0.0, 0.6)].map(corner)
+            });
+            let triangles = (0..plates.len() as u32)
+                .flat_map(|i| [[4 * i, 4 * i + 1, 4 * i + 2], [4 * i, 4 * i + 2, 4 * i + 3]]);
+            let mesh = Mesh {
+                positions: corners.collect(),
+                triangles: triangles.collect(),
+            };
+            let accel = Accel::build(&mesh.into(), 1).unwrap();
+            let view = View {
+                accel: &accel,
+                surface: Lambert {
+                    reflectance: REFLECTANCE,
+                }
+                .into(),
+                laser: &Laser {
+                    beam: beam(0.12, 150.0),
+                    fan: Some(Fan {
+                        angle: 0.09,
+                        profile: FanProfile::Uniform,
+                    }),
+                },
+                part_from_laser: looking(DVec3::Z * 150.0, DVec3::ZERO),
+                camera: &camera,
+                part_from_camera: looking(DVec3::new(0.0, -106.0, 106.0), DVec3::ZERO),
+                speckle: None,
+                grid: Grid::Gauss { per_side: 2 },
+                sampling: Sampling::Planes,
+                cutoff_radii: CUTOFF_RADII,
+                lens: LensBlur {
+                    blur: Blur::Mean,
+                    reach: 64,
+                    line_sigma: 0.6,
+                },
+                indirect: None,
+            };
+            irradiance(&view, &Region::All).dense()
+        };
+        let all = image(&plates);
+        let each: Vec<_> = plates.iter().map(|&plate| image(&[plate])).collect();
+        let peak = all.iter().copied().fold(0.0, f32::max);
+        let sum = |i: usize| each.iter().map(|image| image[i]).sum::<f32>();
+        let off = (0..all.len()).map(|i| (all[i] - sum(i)).abs());
+        let worst = off.fold(0.0, f32::max) / peak;
+        println!("{tilt_deg}°, rise {rise:.1}: {worst:.2e} of the peak");
+        assert!(worst < 0.02, "{tilt_deg}°: {worst}");
+    }
+}
+
+/// Transfer of the mean light by a round pupil in focus, at so many cycles a grain.
+fn in_focus(frequency: f64) -> f64 {
+    let f = frequency.min(1.0);
+    2.0 / PI * (f.acos() - f * (1.0 - f * f).sqrt())
+}
+
+/// A line in focus, 2 to 12 grains in standard deviation, as the plan of its own accord images it: peak and second moment within
+/// five standard deviations are those of the line's Gaussian through the transfer of the pupil and over the
+/// pixel. The plan may leave the lens out where that lowers the peak by less than 2 %; light
+/// beyond ten grains (1.3 %) may come in on the other side, of which 1/30 falls on the peak's row.
+#[test]
+fn diffraction_is_there_where_it_counts() {
+    for seed in 1..=5 {
+        let key = Key::new(seed, Purpose::SensorNoise);
+        let between = |k: u64, low: f64, high: f64| low + (high - low) * key.uniform(k);
+        let grain_px = 0.66e-3 * 8.0 * 1.5 / 5e-3;
+        let grains = [2.0, 3.0, 4.5, 7.0, 12.0][seed as usize - 1] * between(0, 0.9, 1.1);
+        let mut slope = Slope::drawn(seed, |laser, _| laser < 90.0);
+        slope.turned_deg = [0.0; 3];
+        let sigma_px = grains * grain_px;
+        slope.waist_um = 2.0 * sigma_px * 10.0 / slope.angle.cos();
+        slope.resolution = [64, 400];
+        let mut scene = slope.scene();
+        scene.methods.blur = None;
+        let simulation = Simulation::new(&scene).unwrap();
+        let image = simulation.irradiance(0).dense();
+        let profile: Vec<f64> = (0..400).map(|y| image[y * 64 + 32] as f64).collect();
+        let total: f64 = profile.iter().sum();
+        let middle = profile
+            .iter()
+            .enumerate()
+            .map(|(y, v)| (y as f64 + 0.5) * v)
+            .sum::<f64>()
+            / total;
+        let expected = |y: f64| {
+            let step = 1e-4;
+            let term = |i: usize| {
+                let f = (i as f64 + 0.5) * step;
+                let line = (-2.0 * (PI * sigma_px * f).powi(2)).exp();
+                let pixel = (PI * f).sin() / (PI * f);
+                line * in_focus(f * grain_px) * pixel * (2.0 * PI * f * (y - middle)).cos()
+            };
+            2.0 * step * (0..5000).map(term).sum::<f64>()
+        };
+        let rows: Vec<f64> = (0..400)
+            .map(|y| y as f64 + 0.5)
+            .filter(|y| (y - middle).abs() < 5.0 * sigma_px)
+            .collect();
+        let moment = |value: &dyn Fn(f64) -> f64| {
+            let sums = rows
+                .iter()
+                .map(|&y| (value(y), value(y) * (y - middle).powi(2)));
+            let sums = sums.fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+            (sums.1 / sums.0).sqrt()
+        };
+        let of_image = |y: f64| profile[y as usize] / total;
+        let at = middle.floor() + 0.5;
+        let peak = of_image(at) / expected(at) - 1.0;
+        let width = moment(&of_image) / moment(&expected) - 1.0;
+        println!(
+            "σ = {grains:.2} grains, blur {:?}: peak {:+.2} %, width {:+.2} %",
+            simulation.plan.blur,
+            100.0 * peak,
+            100.0 * width
+        );
+        assert!(peak.abs() < 0.02 && width.abs() < 0.03, "{seed}");
+    }
 }

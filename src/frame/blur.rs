@@ -2,7 +2,7 @@
 //!
 //! The light at each place is spread by the pupil ([`Pupil`]) with the defocus of its own
 //! surface, so each side of a step in depth has its own blur. That is done in tiles along the
-//! line, each by Fourier transforms on its own grid: the tiles' results are added, so that where one ends
+//! line, each by Fourier transforms on its own grid and by the pupil at the centre of fixed rows and columns: the tiles' results are added, so that where one ends
 //! and the next begins does not show, and light is neither lost nor made (what the tails would carry
 //! past a tile's margin comes in again on its other side).
 
@@ -17,6 +17,7 @@ use super::reference::Seen;
 use super::speckle::{Reader, Speckle, power};
 use super::transform::{Band, Drawn, Transform, fast_length};
 use crate::math::{DVec2, sinc};
+use crate::speckle::theory::AIRY_SIGMA;
 use rayon::prelude::*;
 use rustfft::num_complex::Complex32;
 use std::ops::{AddAssign, Range};
@@ -243,6 +244,42 @@ fn blurs(light: &Light, pixel: usize) -> Option<[f64; 2]> {
         .reduce(|[low, high], [b, _]| [low.min(b), high.max(b)])
 }
 
+/// Relative error of the peak of a line that tiles and layers may cause, each.
+const PEAK_TOLERANCE: f64 = 0.005;
+/// Fewest rows of a tile.
+const FEWEST_ROWS: f64 = 16.0;
+
+/// Returns the number of rows of a block, at a column, in whose centre the pupil represents all of them.
+///
+/// From there to either end, the image of a point changes in size by at most [`PEAK_TOLERANCE`]. The peak of a
+/// blurred line errs by no more.
+fn rows_of_one_pupil(view: &View, column: f64) -> isize {
+    let rows = view.camera.sensor.resolution.y as f64;
+    let wavelength = view.laser.beam.wavelength;
+    let size = [0.0, 0.5, 1.0].map(|share| {
+        let place = DVec2::new(column, share * rows);
+        let pupil = Pupil::new(view.camera, place, wavelength);
+        [pupil.reach(1.0, 0.0), pupil.reach(0.0, 1.0)]
+    });
+    let change = |a: DVec2, b: DVec2| (a / b).map(f64::ln).abs().max_element();
+    let change = |i: usize| (0..2).map(move |k| change(size[i][k], size[i + 1][k]));
+    let most = (0..2).flat_map(change).fold(0.0, f64::max);
+    let height = PEAK_TOLERANCE * rows / most;
+    // Not more than any sensor has, nor NaN.
+    height.max(FEWEST_ROWS).min(f64::from(u16::MAX)) as isize
+}
+
+/// Returns the relative error of the peak of a line of standard deviation `line` whose blurs from `low` to `high` are
+/// replaced by their mean. All are in grains.
+///
+/// The error is half of the relative change of the square of the line's width. The blur adds b²/16 to that
+/// square, and the core of Airy's pattern 0.42².
+fn off_in_one_layer(low: f64, high: f64, line: f64) -> f64 {
+    let blur = low.abs().max(high.abs());
+    let square = line * line + blur * blur / 16.0 + AIRY_SIGMA * AIRY_SIGMA;
+    blur * (high - low) / 2.0 / (16.0 * square)
+}
+
 /// Depends on lit samples only, so that it is the same whichever others were looked at.
 fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
     let rows = &light.rows;
@@ -268,10 +305,14 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
         let start = (i * COLUMNS) as isize - beyond;
+        let middle = (start + COLUMNS as isize / 2) as f64;
+        let height = rows_of_one_pupil(view, middle);
         let mut rest = &block[..];
         while let Some((first, _)) = rest.first() {
             let first = first.row;
-            let place = DVec2::new((start + COLUMNS as isize / 2) as f64, first as f64 + 0.5);
+            // Where its rows end is the same whatever they hold.
+            let last = (first.div_euclid(height) + 1) * height;
+            let place = DVec2::new(middle, last as f64 - 0.5 * height as f64);
             let pupil = Pupil::new(view.camera, place, wavelength);
             // Twice as wide as a tile's margin may be light is spread out of sight.
             let widest = 2.0 * view.lens.reach as f64 / pupil.reach(1.0, 0.0).max_element();
@@ -281,7 +322,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
             let mut end = first;
             let mut count = 0;
             for (pixel, blurs) in rest {
-                if pixel.row > end + 2 * margin[1] as isize {
+                if pixel.row >= last || pixel.row > end + 2 * margin[1] as isize {
                     break;
                 }
                 let [least, most] = blurs.map(|blur| blur.clamp(-widest, widest));
@@ -291,7 +332,9 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                 (end, count) = (pixel.row, count + 1);
             }
             let (own, others) = rest.split_at(count);
-            let steps = ((high - low) / step).ceil();
+            let steps = ((high - low) / step).ceil().max(1.0);
+            let line = view.lens.line_sigma * pupil.grains.determinant().sqrt();
+            let is_one = high - low <= step && off_in_one_layer(low, high, line) < PEAK_TOLERANCE;
             tiles.push(Tile {
                 own: Rectangle {
                     columns: start..start + COLUMNS as isize,
@@ -301,7 +344,7 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                 side,
                 pupil,
                 lit: own.iter().map(|(pixel, _)| *pixel).collect(),
-                layers: match steps <= 1.0 {
+                layers: match is_one {
                     true => vec![0.5 * (low + high)],
                     false => (0..=steps as usize)
                         .map(|i| low + (high - low) * i as f64 / steps)
@@ -420,10 +463,11 @@ impl Tile {
                 *sum += value * pass;
             }
         }
-        // What went in may be the mean over pixels already.
-        if light.nodes.side() == self.side {
+        // What went in are means over pixels already, or over parts of them.
+        if self.side > 1 {
             let [of_columns, of_rows] = band.along().map(|frequencies| {
-                let factor = |frequency: f64| sinc(frequency * self.per_pixel()) as f32;
+                let factor =
+                    |frequency: f64| (sinc(frequency * self.per_pixel()) / sinc(frequency)) as f32;
                 frequencies.into_iter().map(factor).collect::<Vec<f32>>()
             });
             for (sum, of_column) in sum.chunks_mut(of_rows.len()).zip(of_columns) {

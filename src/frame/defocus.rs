@@ -94,7 +94,8 @@ pub(super) fn spread_into(columns: &Range<usize>, reach: usize) -> Range<usize> 
 const MOST: f64 = 16.0;
 
 /// Where in a pixel light is sampled before the lens spreads it: so finely that what the pupil lets pass is
-/// not mixed with finer parts of it. Where pixels alone are as fine, they are integrated: light that ends within
+/// not mixed with finer parts of it. Light is the mean over the cell of each sample, as finer parts of a line on a steep surface would be
+/// mixed else. Where pixels alone are as fine, they are integrated: light that ends within
 /// a pixel is then off by at most 4.6 % of it in the pixels beside that edge, 1.7 % in the next, and 0.4 % further on (a half-plane
 /// under Airy's pattern of any size, whose transfer differs most between f and 1 − f cycles a pixel where grains
 /// are 0.7).

@@ -2,7 +2,8 @@
 
 use crate::math::DVec2;
 use crate::math::quadrature::gauss_legendre;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{PI, SQRT_2, TAU};
+use std::sync::OnceLock;
 use wide::f32x4;
 
 /// Four of a pixel's samples.
@@ -14,6 +15,15 @@ pub(super) struct Four {
     pub count: usize,
     /// Zero for these; of all others the sum is 1.
     pub weights: f32x4,
+}
+
+/// The rectangle of a pixel that a sample represents, as large as the sample's weight. All rectangles fill the pixel.
+#[derive(Clone, Copy)]
+pub(super) struct Cell {
+    /// The rectangle's centre relative to the pixel's, pixels.
+    pub centre: DVec2,
+    /// Half its sides, pixels.
+    pub half: DVec2,
 }
 
 /// Where in each pixel light is sampled.
@@ -44,6 +54,31 @@ impl Grid {
             }
         }
     }
+
+    /// Standard deviation (pixels) of the narrowest Gaussian whose centroid samples at points do not move by
+    /// more than [`SAMPLING_TOLERANCE_PX`]. Even samples are one a pixel of smaller pixels.
+    fn narrowest(self) -> f64 {
+        match self {
+            Grid::Gauss { per_side } => narrowest(per_side),
+            Grid::Even { per_side } => narrowest(1) / per_side as f64,
+        }
+    }
+}
+
+/// Error of the line's centroid that sampling may cause, pixels.
+pub(crate) const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
+
+/// Standard deviation (pixels) of the narrowest Gaussian whose centroid the `n` nodes of Gauss–Legendre quadrature in
+/// each pixel do not move by more than [`SAMPLING_TOLERANCE_PX`]; 16 for more nodes than that.
+pub(crate) fn narrowest(n: u32) -> f64 {
+    static NARROWEST: [OnceLock<f64>; 16] = [const { OnceLock::new() }; 16];
+    let n = n.clamp(1, NARROWEST.len() as u32);
+    *NARROWEST[n as usize - 1].get_or_init(|| {
+        // In steps of 1 % from a width at which one node does.
+        let widths = (0..).map(|k| 0.99f64.powi(k));
+        let wide_enough = |sigma: &f64| sampling_error(*sigma, n) < SAMPLING_TOLERANCE_PX;
+        widths.take_while(wide_enough).last().unwrap_or(1.0)
+    })
 }
 
 /// The samples of a pixel, row by row.
@@ -52,7 +87,12 @@ pub(super) struct Nodes {
     places: Vec<DVec2>,
     weights: Vec<f32>,
     fours: Vec<Four>,
+    cells: Vec<Cell>,
     is_even: bool,
+    /// Whether samples are means over their cells everywhere.
+    pub are_means: bool,
+    /// Change of a Gaussian's argument u, exp(-u²), from pixel to pixel, up to which samples at points do.
+    pub steepest: f32,
 }
 
 impl Nodes {
@@ -79,7 +119,21 @@ impl Nodes {
                 weights: of(|(_, weight)| *weight),
             }
         };
+        let mut end = -0.5;
+        let sides = rule.iter().map(|&(_, weight)| {
+            end += weight;
+            (end - weight / 2.0, weight / 2.0)
+        });
+        let sides: Vec<(f64, f64)> = sides.collect();
+        let rows = (sides.iter()).flat_map(|row| sides.iter().map(move |column| (column, row)));
+        let cell = |((x, across), (y, along)): (&(f64, f64), &(f64, f64))| Cell {
+            centre: DVec2::new(*x, *y),
+            half: DVec2::new(*across, *along),
+        };
         Nodes {
+            cells: rows.map(cell).collect(),
+            are_means: false,
+            steepest: (SQRT_2 * grid.narrowest()).recip() as f32,
             fours: samples.chunks(4).map(four).collect(),
             weights: samples.iter().map(|(_, weight)| *weight as f32).collect(),
             is_even: matches!(grid, Grid::Even { .. }),
@@ -106,10 +160,18 @@ impl Nodes {
         &self.places
     }
 
-    /// How far they lie from the pixel's centre in column and in row at most, pixels.
+    /// The parts of the pixel that they stand for.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// How far the border of its cell lies from a sample in column or in row at most, pixels.
     pub fn reach(&self) -> f64 {
-        // The first lies in a corner.
-        self.places[0].abs().max_element()
+        let both = self.places.iter().zip(&self.cells);
+        let reach = |(place, cell): (&DVec2, &Cell)| {
+            ((cell.centre - place).abs() + cell.half).max_element()
+        };
+        both.map(reach).fold(0.0, f64::max)
     }
 
     pub fn fours(&self) -> &[Four] {

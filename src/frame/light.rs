@@ -3,7 +3,7 @@
 //! solid angle. No speckle yet.
 
 use super::View;
-use super::defocus::{self, Spread};
+use super::defocus::{self, Blur, Spread};
 use super::flat::Profile;
 use super::grid::{Grid, Nodes};
 use super::irradiance::Irradiance;
@@ -13,8 +13,9 @@ use super::reference::Seen;
 use super::sight::Sight;
 use super::window::{Sorted, Window};
 use crate::accel::WIDTH;
-use crate::math::DVec2;
+use crate::math::{DVec2, DVec3};
 use rayon::prelude::*;
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
 /// How the samples of a pixel come by the surface they see.
@@ -189,10 +190,12 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
     let sight = Sight::new(view.camera, &view.part_from_camera);
     let speckle = view.speckle.as_ref();
     let spread = Spread::new(view);
+    let mut nodes = Nodes::new(defocus::grid(view));
+    nodes.are_means = view.lens.blur == Blur::Mean && nodes.transformed() == nodes.side();
     let frame = Frame {
         rays: LitRays::new(view, &sight, spread.is_some()),
         rows: Rows::new(pixels),
-        nodes: Nodes::new(defocus::grid(view)),
+        nodes,
         reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
         spread,
     };
@@ -278,6 +281,9 @@ struct Pixel {
     number: usize,
 }
 
+/// Reach of a pixel around its centre, pixels.
+const HALF_A_PIXEL: f64 = 0.5;
+
 /// Columns and rows of pixels whose samples are traced together where they are few.
 const BLOCK: usize = 2;
 
@@ -314,7 +320,6 @@ impl Frame<'_> {
                 return;
             }
         };
-        let reach = self.nodes.reach();
         let bands = self.bands_of(task.first_band);
         let mut next = bands.start.saturating_sub(around);
         for band in bands {
@@ -322,7 +327,7 @@ impl Frame<'_> {
                 let tiles = pixels.tiles(next, around);
                 window.fill(next, tiles, |first, tile| {
                     let wanted = pixels.near_in_tile(next, first, around);
-                    self.rays.centers(next, first, wanted, reach, tile)
+                    self.rays.centers(next, first, wanted, HALF_A_PIXEL, tile)
                 });
                 next += 1;
             }
@@ -389,14 +394,21 @@ impl Frame<'_> {
         let Some(profile) = Profile::new(pixel.centre, lit, plane, &self.rays) else {
             return true;
         };
-        if asked && !profile.is_constant {
+        if asked && !profile.is_constant(plane, &self.rays) {
             return false;
         }
         let own = self.samples(pixel, task);
-        let samples = task.irradiance[own.clone()].chunks_mut(4);
-        for (four, samples) in self.nodes.fours().iter().zip(samples) {
-            let shares = profile.shares(four) * lit.irradiance as f32;
-            samples.copy_from_slice(&shares.to_array()[..samples.len()]);
+        let irradiance = lit.irradiance as f32;
+        let samples = &mut task.irradiance[own.clone()];
+        if self.nodes.are_means || profile.steepness() > self.nodes.steepest {
+            for (sample, cell) in samples.iter_mut().zip(self.nodes.cells()) {
+                *sample = profile.mean(cell.centre, cell) * irradiance;
+            }
+        } else {
+            for (four, samples) in self.nodes.fours().iter().zip(samples.chunks_mut(4)) {
+                let shares = profile.shares(four) * irradiance;
+                samples.copy_from_slice(&shares.to_array()[..samples.len()]);
+            }
         }
         if self.reads_surface {
             task.surface[own.clone()].fill(Seen::new(plane));
@@ -411,6 +423,33 @@ impl Frame<'_> {
             task.skew[own].fill(gloss.skew(pixel.centre, [plane.point, plane.normal]));
         }
         true
+    }
+
+    /// Returns the fraction of the light on the beam's axis at a sample with its own ray.
+    ///
+    /// The sample is given by its `place` and its `number` in the pixel. The result is the mean over its cell if the
+    /// profile changes there by more than a value at a point resolves.
+    fn share(
+        &self,
+        place: DVec2,
+        towards: DVec3,
+        (lit, plane): (&Lit, &Plane),
+        number: usize,
+    ) -> f64 {
+        // The bound holds for a pinhole. A lens that distorts stretches the image by less than twice.
+        let distance = plane.point.distance(self.rays.from_laser.eye);
+        let change = 2.0 * SQRT_2 * distance * self.rays.moves_across(plane, towards, 1.0);
+        if !self.nodes.are_means && change <= self.nodes.steepest as f64 * lit.radius {
+            return lit.share();
+        }
+        match Profile::new(place, lit, plane, &self.rays) {
+            Some(profile) if self.nodes.are_means || profile.steepness() > self.nodes.steepest => {
+                let cell = &self.nodes.cells()[number];
+                let off = cell.centre - self.nodes.places()[number];
+                profile.mean(off, cell) as f64
+            }
+            _ => lit.share(),
+        }
     }
 
     /// Where a pixel's samples are in a task.
@@ -451,6 +490,7 @@ impl Frame<'_> {
     fn sampled(&self, pixels: &[Pixel], wanted: u16, task: &mut Task) {
         let sight = self.rays.sight;
         let samples = self.nodes.places();
+        let reach = self.nodes.reach();
         let all = samples.len() * pixels.len();
         let mut bend = DVec2::ZERO;
         // Of all samples of all pixels, one after the other.
@@ -470,12 +510,15 @@ impl Frame<'_> {
                 rays_wanted |= (wanted >> pixel & 1) << i;
             }
             let mut met = [const { Met::Nothing }; WIDTH];
-            (self.rays).look(&places[..chunk.len()], &rays, rays_wanted, 0.0, &mut met);
+            (self.rays).look(&places[..chunk.len()], &rays, rays_wanted, reach, &mut met);
             for (ray, met) in chunk.zip(&met) {
                 if let Met::Lit(lit, plane) = met {
                     let pixel = pixels[ray / samples.len()];
-                    let sample = self.samples(pixel, task).start + ray % samples.len();
-                    task.irradiance[sample] = (lit.irradiance * lit.share()) as f32;
+                    let number = ray % samples.len();
+                    let sample = self.samples(pixel, task).start + number;
+                    let (place, towards) = (places[ray - first], rays[ray - first].direction);
+                    let share = self.share(place, towards, (lit, plane), number);
+                    task.irradiance[sample] = (lit.irradiance * share) as f32;
                     if self.reads_surface {
                         task.surface[sample] = Seen::new(plane);
                     }

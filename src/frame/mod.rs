@@ -56,7 +56,7 @@ pub(crate) use bend::Bend;
 pub(crate) use defocus::{TILE, reach_px};
 pub(crate) use footprint::{frustum, sides};
 pub(crate) use geometric::SheetAngles;
-pub(crate) use grid::sampling_error;
+pub(crate) use grid::{SAMPLING_TOLERANCE_PX, narrowest, sampling_error};
 pub(crate) use polygon::Polygon;
 pub(crate) use sight::{Projection, Sight};
 

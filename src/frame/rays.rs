@@ -19,10 +19,15 @@ const PLANE_TOLERANCE: f64 = 0.01;
 /// facets the light received changes by 5 % where it falls at 45°.
 pub(super) const NORMAL_TOLERANCE: f32 = 0.9986;
 
-/// If a pixel's centre lies beyond the light, its samples have rays where they come closer to the middle of the
-/// beam than the light's end by more than this, beam radii. A choice: those left out have at most e^c times the
-/// light at its end, c radii from the middle.
+/// Distance (beam radii) by which the part of the sensor around a place must overlap the light for the place to be
+/// lit, if the place itself is beyond the light.
+///
+/// A choice: places left out have at most e^c times the light at its end, c radii from the axis.
 const COARSE: f64 = 0.25;
+
+/// Longest footprint of a pixel on a surface seen nearly edge-on, over one face-on, whose light is computed. 20 is
+/// reached at 87.1°. A choice of speed: longer ones are computed too where their centre is near the sheet.
+const LONG: f64 = 20.0;
 
 /// What a ray meets.
 #[derive(Clone, Copy)]
@@ -32,10 +37,8 @@ pub(super) enum Met {
     Far {
         above: bool,
     },
-    /// Further from the middle of the beam than light is taken to reach.
+    /// Beyond the end of the light, with all of the sensor's part around it.
     Dark(Plane),
-    /// The same, but the pixel sees so much of the plane that light may reach its samples: each has a ray.
-    Beside(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
     Unlit(Plane),
     Lit(Lit, Plane),
@@ -135,17 +138,20 @@ impl<'a> LitRays<'a> {
         let cutoff = view.cutoff_radii;
         let widest = view.laser.reach(nearest.max(0.0), furthest, cutoff);
         let from_laser = Sight::new(view.camera, &laser_from_camera);
+        let steps = from_laser.steps();
+        let depth = corners.iter().map(|p| p.distance(from_laser.eye));
+        let pixel = steps[0].length().max(steps[1].length()) * depth.fold(0.0, f64::max);
         LitRays {
             view,
             sight,
-            steps: from_laser.steps(),
+            steps,
             from_laser,
             laser_from_part,
             kinds: (view.surface.kinds().iter())
                 .map(|kind| Scatters::new(view, kind, skewed))
                 .collect(),
             across: view.part_from_laser.rotation.y_axis,
-            far: 2.0 * widest.y + view.accel.refinement(),
+            far: 2.0 * widest.y + LONG * pixel + view.accel.refinement(),
         }
     }
 
@@ -243,8 +249,8 @@ impl<'a> LitRays<'a> {
     }
 
     /// What rays from the eye see, up to 16, that come from these places on the sensor;
-    /// those that are not `wanted` (as bits) nothing. `around`: how far from each place samples lie that it stands for,
-    /// in column and in row, pixels.
+    /// those that are not `wanted` (as bits) nothing. `around`: the
+    /// half side of the sensor's part around each place, pixels.
     pub fn look(
         &self,
         places: &[DVec2],
@@ -314,12 +320,10 @@ impl<'a> LitRays<'a> {
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            let nearest = || r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
-            let is_coarse = around > 0.0 && nearest() < (self.view.cutoff_radii - COARSE) * radius;
-            return match is_coarse {
-                true => (Met::Beside(plane), None),
-                false => (Met::Dark(plane), None),
-            };
+            let nearest = r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
+            if nearest >= (self.view.cutoff_radii - COARSE) * radius {
+                return (Met::Dark(plane), None);
+            }
         }
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();
@@ -352,7 +356,7 @@ impl<'a> LitRays<'a> {
     /// By how much the distance from the middle of the beam changes at most on a plane that a ray meets, mm for
     /// each mm of the ray, up to so many pixels `around` it in column and in row. Far too much where the plane is
     /// seen edge-on.
-    fn moves_across(&self, plane: &Plane, direction: DVec3, around: f64) -> f64 {
+    pub fn moves_across(&self, plane: &Plane, direction: DVec3, around: f64) -> f64 {
         let direction = self.laser_from_part.vector(direction);
         let (moves, ratios) = plane.moves(direction, self.steps);
         let across = moves.map(|step| self.view.laser.off_middle(step).length());
