@@ -31,6 +31,17 @@ impl Aperture {
         }
     }
 
+    /// Returns the variance, along its height, of points distributed uniformly over it, in squares of the width.
+    ///
+    /// A blur of diameter b has this variance times b² along the sensor's rows.
+    pub(crate) fn variance_along_height(&self) -> f64 {
+        match *self {
+            Aperture::Circle => 1.0 / 16.0,
+            Aperture::Ellipse(ratio) => ratio * ratio / 16.0,
+            Aperture::Square => 1.0 / 12.0,
+        }
+    }
+
     /// Largest extent in any direction, in widths.
     pub fn extent(&self) -> f64 {
         match self {

@@ -31,6 +31,8 @@ pub struct InView {
     /// Places on the part that are lit and seen, laser frame, mm; in the order of the
     /// frames. None: the sensor sees no light in any frame that was looked at.
     pub places: Vec<DVec3>,
+    /// Unit normals of the part there, laser frame.
+    pub normals: Vec<DVec3>,
     /// Frames looked at that have such a place.
     pub frames: Vec<u32>,
     /// Laser rays traced: none if the light never enters the camera's view, or the
@@ -117,6 +119,7 @@ impl InView {
                 all.frames.push(frame);
             }
             all.places.extend(seen.places);
+            all.normals.extend(seen.normals);
             all.rays += seen.rays;
             all.met += seen.met;
             all.on_sensor += seen.on_sensor;
@@ -218,7 +221,7 @@ impl Tracer<'_> {
         let resolution = self.optics.camera.sensor.resolution.as_dvec2();
         let laser_from_part = part_from_laser.inverse();
         let eye = part_from_laser.point(self.laser_from_camera.translation);
-        let (mut places, mut sights) = (Vec::new(), Vec::new());
+        let (mut places, mut normals, mut sights) = (Vec::new(), Vec::new(), Vec::new());
         for hit in self.accel.closest(rays, |_, _| true).into_iter().flatten() {
             seen.met += 1;
             let place = laser_from_part.point(hit.point);
@@ -233,6 +236,7 @@ impl Tracer<'_> {
             let sight = Ray::between(start, eye);
             if let Some(sight) = sight.filter(|sight| sight.direction.dot(hit.normal) > 0.0) {
                 places.push(place);
+                normals.push(laser_from_part.vector(hit.normal));
                 sights.push(sight);
             }
         }
@@ -240,9 +244,12 @@ impl Tracer<'_> {
             return;
         }
         let hidden = self.accel.occluded(&sights);
-        let shown = places.into_iter().enumerate();
+        let shown = places.into_iter().zip(normals).enumerate();
         let shown = shown.filter(|(i, _)| hidden >> i & 1 == 0);
-        seen.places.extend(shown.map(|(_, place)| place));
+        for (_, (place, normal)) in shown {
+            seen.places.push(place);
+            seen.normals.push(normal);
+        }
     }
 }
 

@@ -4,14 +4,15 @@
 pub use super::chosen::{Effect, EffectKind, ExposureMotion, Plan, SpeckleOptics, SpeckleStep};
 use super::cutoff::cutoff_radii;
 use super::defocus::noise_factor;
-use super::in_view::Optics;
+use super::in_view::{InView, Optics};
 use crate::camera::{Camera, GrainExtent};
-use crate::frame::sampling_error;
-use crate::frame::{Blur, Sampling};
+use crate::frame::{Blur, SAMPLING_TOLERANCE_PX, Sampling, narrowest, sampling_error};
 use crate::laser::CUTOFF_RADII;
-use crate::math::{DVec2, DVec3};
+use crate::math::{Aperture, DVec2, DVec3};
 use crate::speckle::lookup::Method;
-use crate::speckle::theory::{AIRY_SIGMA, centroid_noise, samples_across_pixel};
+use crate::speckle::theory::{centroid_noise, samples_across_pixel};
+use glam::DMat2;
+use std::f64::consts::PI;
 
 /// Error of the correlation of two frames up to which the pattern's slip is left out:
 /// what correlations of the patterns are good to.
@@ -25,8 +26,6 @@ pub const CORRELATED: f64 = 0.1;
 /// contrast is good to.
 const CONTRAST_TOLERANCE: f64 = 0.005;
 
-/// Error of the line's centroid that sampling may cause, pixels.
-const SAMPLING_TOLERANCE_PX: f64 = 1e-3;
 /// Most samples along each side of a pixel.
 pub const MAX_SAMPLES_PER_SIDE: u32 = 16;
 /// Most reflections that are followed.
@@ -50,11 +49,11 @@ fn samples_per_side(sigma_px: f64, speckle_size_px: f64, speckle: Option<&Speckl
 }
 
 impl Plan {
-    /// The plan for light that falls on these `places` (laser frame, mm) along the path
+    /// The plan for light that falls on what is `seen` along the path
     /// of the scan; `exposure` is `None` if the speed is unknown.
     pub fn new(
         optics: &Optics,
-        places: &[DVec3],
+        seen: &InView,
         exposure: Option<ExposureMotion>,
         speckle: Option<SpeckleOptics>,
     ) -> Plan {
@@ -64,7 +63,7 @@ impl Plan {
             camera_from_laser,
             glossy,
         } = optics;
-        let line = LineImage::over(optics, places);
+        let line = LineImage::over(optics, seen);
         let pitch = camera.sensor.pixel_pitch;
         let airy_radius_px = 1.22 * camera.speckle_size(laser.beam.wavelength) / pitch;
         let sigma = line.half_width_px / 2.0;
@@ -86,7 +85,7 @@ impl Plan {
             },
             cutoff_radii: match glossy {
                 true => CUTOFF_RADII,
-                false => cutoff_radii(laser, camera, places),
+                false => cutoff_radii(laser, camera, &seen.places),
             },
             reflections: None,
             reflections_noise: None,
@@ -112,7 +111,7 @@ impl Plan {
         };
         let slip = speckle.as_ref().map(|optics| line.slip(optics));
         plan.speckle_slips = slip.as_ref().is_some_and(|slip| slip.modelled);
-        plan.effects = plan.explain(speckle.as_ref(), exposure, sigma);
+        plan.effects = plan.explain(speckle.as_ref(), exposure, &line);
         plan.effects.extend(slip);
         plan
     }
@@ -121,11 +120,12 @@ impl Plan {
         &self,
         speckle: Option<&SpeckleOptics>,
         exposure: Option<ExposureMotion>,
-        sigma: f64,
+        line: &LineImage,
     ) -> Vec<Effect> {
         let effect = Effect::new;
+        let sigma = line.half_width_px / 2.0;
         vec![
-            self.pixel_effect(sigma),
+            self.pixel_effect(line),
             effect(
                 EffectKind::Speckle,
                 speckle.is_some(),
@@ -151,8 +151,10 @@ impl Plan {
         ]
     }
 
-    fn pixel_effect(&self, sigma: f64) -> Effect {
+    fn pixel_effect(&self, line: &LineImage) -> Effect {
         let n = self.samples_per_side;
+        // Where it is narrower samples are means over parts of the pixel.
+        let sigma = (line.narrowest_px / 2.0).max(narrowest(n));
         Effect::new(
             EffectKind::PixelIntegration,
             true,
@@ -161,9 +163,10 @@ impl Plan {
                 _ => format!("{n} × {n} samples a pixel; 1 ray on flat surface, all at edges"),
             },
             format!(
-                "line's 1/e² half width {:.2} px: sampling moves its centroid by < {:.1e} px; \
-                 dark beyond {:.2} radii",
+                "line's 1/e² half width {:.2} px, {:.2} px on the steepest surface: sampling moves its centroid \
+                 by < {:.1e} px; dark beyond {:.2} radii",
                 self.line_half_width_px,
+                line.narrowest_px,
                 sampling_error(sigma, n).max(1e-6),
                 self.cutoff_radii
             ),
@@ -194,6 +197,8 @@ impl Plan {
 /// The image of the line over the part.
 struct LineImage {
     half_width_px: f64,
+    /// Least 1/e² half width across the line on the surface itself.
+    narrowest_px: f64,
     defocus_blur_px: f64,
     blurred_share: f64,
     px_per_mm: f64,
@@ -201,20 +206,66 @@ struct LineImage {
     widest: f64,
     /// Largest |1 − L_f/L_o|.
     defocus: f64,
-    /// Largest b/σ, and largest share by which the lens makes the line wider; σ/h of the thinnest line.
+    /// Largest b/σ, and σ/h of the thinnest line.
     blur_sigmas: f64,
-    widening: f64,
     sigma_grains: f64,
+    /// Fraction of the places at which the lens lowers the line's peak by [`LOSS_TOLERANCE`] or more.
+    lowered_share: f64,
     grain: GrainExtent,
 }
 
-/// Share by which the lens may make lines wider so that it is left out.
-const WIDENING_TOLERANCE: f64 = 0.02;
+/// Relative loss of a line's peak up to which the lens is not modelled.
+const LOSS_TOLERANCE: f64 = 0.02;
+/// Fraction of the places at which the loss may be greater.
+const LOWERED_SHARE: f64 = 0.01;
 /// Widest blur, in standard deviations of the line, and thinnest line, in grains, for which speckle may be
 /// multiplied into the light: its centroid noise then is at most 3 % short, and the lens's share of it
 /// at most as much.
 const MOST_SIGMAS: f64 = 1.0;
 const LEAST_GRAINS: f64 = 2.0;
+
+/// Returns the fraction of its peak that a line of standard deviation `sigma` loses in the lens, to the first order in
+/// the grain and the second in the blur, all in one unit.
+///
+/// In focus, the transfer of a round pupil falls with the frequency f as 1 − (4/π)·h·f, and of a square one as 1 − h·f.
+/// The mean frequency of a Gaussian line is √(2/π)/(2πσ), which gives the loss. A Gaussian of the width of Airy's core
+/// would fall with f² and take less than a fifth of that at σ = 3 h.
+fn peak_loss(aperture: Aperture, sigma: f64, grain: f64, blur: f64) -> f64 {
+    let slope = match aperture {
+        Aperture::Circle => 4.0 / PI,
+        Aperture::Ellipse(ratio) => 4.0 / PI / ratio,
+        Aperture::Square => 1.0,
+    };
+    let diffraction = slope * grain * (2.0 / PI).sqrt() / (2.0 * PI * sigma);
+    let widened = 1.0 + aperture.variance_along_height() * (blur / sigma).powi(2);
+    diffraction + 1.0 - widened.sqrt().recip()
+}
+
+/// 1/e² half width in the image, across the line, of light of this radius (mm) at a place on a plane, pixels; laser frame. The beam's change
+/// over the plane is turned into one over the sensor by the derivative of the projection.
+fn width_on_plane(optics: &Optics, place: DVec3, normal: DVec3, radius: f64) -> Option<f64> {
+    let along = normal.any_orthonormal_vector();
+    let axes = [along, normal.cross(along)];
+    // Over a thousandth of the distance projection is linear to as much.
+    let step = 1e-4 * place.length();
+    let project = |p: DVec3| optics.camera.project(optics.camera_from_laser.point(p));
+    let derivative = |axis: DVec3| {
+        Some((project(place + axis * step)? - project(place - axis * step)?) / (2.0 * step))
+    };
+    let by_axis = DMat2::from_cols(derivative(axes[0])?, derivative(axes[1])?);
+    // A beam's light changes along its radius; on its axis, alike along both.
+    let off = |axis: DVec3| optics.laser.off_middle(axis);
+    let [a, b] = axes.map(off);
+    let inverse = by_axis.inverse();
+    // Columns: change of the place in the beam by column and by row.
+    let by_pixel = [inverse.x_axis, inverse.y_axis].map(|step| a * step.x + b * step.y);
+    // The greatest change along any direction on the sensor.
+    let change = match optics.laser.fan {
+        Some(_) => DVec2::new(by_pixel[0].y, by_pixel[1].y).length(),
+        None => by_pixel[0].length().hypot(by_pixel[1].length()),
+    };
+    Some(radius / change).filter(|width| width.is_finite())
+}
 
 impl LineImage {
     /// What is to be done of the lens's blur.
@@ -222,7 +273,7 @@ impl LineImage {
         let method = speckle.map(|optics| optics.method);
         let texture = self.blur_sigmas <= MOST_SIGMAS && self.sigma_grains >= LEAST_GRAINS;
         match method {
-            _ if self.widening < WIDENING_TOLERANCE => Blur::None,
+            _ if self.lowered_share <= LOWERED_SHARE => Blur::None,
             Some(Method::Field) if !texture => Blur::Coherent,
             _ => Blur::Mean,
         }
@@ -261,8 +312,8 @@ impl LineImage {
         Effect::new(EffectKind::SpeckleOutOfFocus, modelled, method.into(), why)
     }
 
-    /// The image at these places of the laser's light; of one pixel where there is none.
-    fn over(optics: &Optics, places: &[DVec3]) -> LineImage {
+    /// The image of the laser's light where it is seen; of one pixel where it is nowhere.
+    fn over(optics: &Optics, seen: &InView) -> LineImage {
         let Optics {
             laser,
             camera,
@@ -271,24 +322,27 @@ impl LineImage {
         } = optics;
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
+            narrowest_px: f64::INFINITY,
             defocus_blur_px: 0.0,
             blurred_share: 0.0,
             px_per_mm: f64::INFINITY,
             widest: 0.0,
             defocus: 0.0,
             blur_sigmas: 0.0,
-            widening: 0.0,
             sigma_grains: f64::INFINITY,
+            lowered_share: 0.0,
             grain: GrainExtent::NONE,
         };
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
-        let each = 1.0 / places.len().max(1) as f64;
-        for &p in places {
+        let each = 1.0 / seen.places.len().max(1) as f64;
+        for (i, &p) in seen.places.iter().enumerate() {
             let pixel = camera.project(camera_from_laser.point(p));
             let moved = |by: DVec3| {
                 Some((camera.project(camera_from_laser.point(p + by))? - pixel?).length())
             };
             let width = laser.beam.radius(p.x.hypot(p.z));
+            let of_pixel = |pixel| GrainExtent::NONE.with(grains(pixel)).speckle_extent_px[1];
+            let grain = pixel.map_or(0.0, of_pixel);
             if let Some(pixel) = pixel {
                 image.grain = image.grain.with(grains(pixel));
             }
@@ -296,14 +350,17 @@ impl LineImage {
             let blur_px = blur.unwrap_or(0.0) / camera.sensor.pixel_pitch;
             image.defocus_blur_px = image.defocus_blur_px.max(blur_px);
             if let Some(px) = moved(DVec3::Y * width) {
+                let normal = seen.normals.get(i);
+                let on_plane = normal.and_then(|&n| width_on_plane(optics, p, n, width));
+                let narrowest = on_plane.unwrap_or(px).min(px);
+                image.narrowest_px = image.narrowest_px.min(narrowest);
                 image.half_width_px = image.half_width_px.min(px);
                 image.blurred_share += f64::from(blur_px > px) * each;
-                let (sigma, airy) = (px / 2.0, AIRY_SIGMA * image.grain.speckle_extent_px[1]);
-                let added = (blur_px * blur_px / 16.0 + airy * airy) / (sigma * sigma);
-                image.widening = image.widening.max((1.0 + added).sqrt() - 1.0);
+                let sigma = px / 2.0;
+                let loss = peak_loss(camera.lens.aperture, narrowest / 2.0, grain, blur_px);
+                image.lowered_share += f64::from(loss >= LOSS_TOLERANCE) * each;
                 image.blur_sigmas = image.blur_sigmas.max(blur_px / sigma);
-                let grains = sigma / image.grain.speckle_extent_px[1];
-                image.sigma_grains = image.sigma_grains.min(grains);
+                image.sigma_grains = image.sigma_grains.min(sigma / grain);
             }
             if let Some(px) = moved(DVec3::Z * 1e-3) {
                 image.px_per_mm = image.px_per_mm.min(px * 1e3);
@@ -314,6 +371,7 @@ impl LineImage {
         }
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
+            image.narrowest_px = 1.0;
             image.px_per_mm = 1.0;
         }
         if image.grain == GrainExtent::NONE {

@@ -19,7 +19,7 @@ impl Simulation {
         let optics = optics(scene, &camera_from_laser);
         let part_from_laser = scene.part_from_head(frame) * scene.head_from_laser;
         let seen = InView::along(&optics, &self.accel, 1, |_| part_from_laser);
-        let plan = named(scene, plan_for(scene, seen.places));
+        let plan = named(scene, plan_for(scene, seen));
         let (accel, errors) = (self.accel.clone(), self.errors.clone());
         let speckle = patterns(scene, &accel, &plan)?;
         let mut other = Simulation::with_patterns(scene, accel, plan, speckle, errors);

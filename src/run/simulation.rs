@@ -12,7 +12,7 @@ use crate::frame::{
     self, Ghosts, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
 };
 use crate::math::rng::{Key, Purpose};
-use crate::math::{DVec3, Rigid};
+use crate::math::Rigid;
 use crate::plan::in_view::{InView, Optics};
 use crate::plan::rules::Plan;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
@@ -400,19 +400,19 @@ pub(super) fn optics<'a>(scene: &'a Scene, camera_from_laser: &'a Rigid) -> Opti
 /// The plan for what the sensor sees of the part; where that is nothing, for all that it
 /// could see.
 pub(crate) fn plan(scene: &Scene, accel: &Accel) -> Plan {
-    plan_for(scene, part_in_view(scene, accel).places)
+    plan_for(scene, part_in_view(scene, accel))
 }
 
-/// The plan by the rules for these places, laser frame.
-pub(super) fn plan_for(scene: &Scene, mut places: Vec<DVec3>) -> Plan {
+/// The plan by the rules for what is in view.
+pub(super) fn plan_for(scene: &Scene, mut seen: InView) -> Plan {
     let camera_from_laser = camera_from_laser(scene);
     let optics = optics(scene, &camera_from_laser);
-    if places.is_empty() {
-        places = optics.overlap();
+    if seen.places.is_empty() {
+        seen.places = optics.overlap();
     }
     Plan::new(
         &optics,
-        &places,
+        &seen,
         exposure_motion(scene),
         scene.speckle.as_ref().map(|s| SpeckleOptics {
             method: s.method,
