@@ -27,7 +27,12 @@ impl FrameContent {
         let (image, peaks, points) = simulation.taken(frame);
         let max_count = simulation.scene.camera.sensor.max_count();
         let image = image.filter(|_| simulation.scene.write_frames);
-        let of_pupil = simulation.scene.camera.lens.aperture.variance_along_height();
+        let of_pupil = simulation
+            .scene
+            .camera
+            .lens
+            .aperture
+            .variance_along_height();
         let is_blurred = |peak: &&Peak| {
             let blur = simulation.defocus_blur_px(peak).unwrap_or(0.0);
             let sharp = match simulation.plan.blur {

@@ -11,8 +11,8 @@ use crate::error::Result;
 use crate::frame::{
     self, Ghosts, Grid, Indirect, Irradiance, Readout, Reflections, Region, Sheet, Truth, View,
 };
-use crate::math::rng::{Key, Purpose};
 use crate::math::Rigid;
+use crate::math::rng::{Key, Purpose};
 use crate::plan::in_view::{InView, Optics};
 use crate::plan::rules::Plan;
 use crate::plan::rules::{ExposureMotion, SpeckleOptics};
