@@ -639,6 +639,7 @@ fn blur_depends_on_no_other_light() {
                     blur: Blur::Mean,
                     reach: 64,
                     line_sigma: 0.6,
+                    narrowest_sigma: 0.6,
                 },
                 indirect: None,
             };

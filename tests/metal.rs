@@ -86,6 +86,7 @@ impl Setup {
                 blur,
                 reach: if blur == Blur::None { 0 } else { 128 },
                 line_sigma: 1.0,
+                narrowest_sigma: 1.0,
             },
             indirect: None,
         };

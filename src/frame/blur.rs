@@ -463,11 +463,10 @@ impl Tile {
                 *sum += value * pass;
             }
         }
-        // What went in are means over pixels already, or over parts of them.
-        if self.side > 1 {
+        // Samples of a grid that is not even are integrated over the pixel already.
+        if light.nodes.side() == self.side {
             let [of_columns, of_rows] = band.along().map(|frequencies| {
-                let factor =
-                    |frequency: f64| (sinc(frequency * self.per_pixel()) / sinc(frequency)) as f32;
+                let factor = |frequency: f64| sinc(frequency * self.per_pixel()) as f32;
                 frequencies.into_iter().map(factor).collect::<Vec<f32>>()
             });
             for (sum, of_column) in sum.chunks_mut(of_rows.len()).zip(of_columns) {

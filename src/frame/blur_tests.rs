@@ -59,6 +59,7 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
             blur,
             reach: 128,
             line_sigma: 2.0,
+            narrowest_sigma: 2.0,
         },
         indirect: None,
     };

@@ -1,7 +1,7 @@
 //! The light over a pixel whose neighbourhood lies on one plane, from one ray.
 
 use super::grid::{Cell, Four};
-use super::rays::{Lit, LitRays, Plane};
+use super::rays::{LitRays, Plane};
 use crate::math::quadrature::gauss_legendre;
 use crate::math::{DVec2, DVec3};
 use std::f64::consts::{PI, SQRT_2};
@@ -29,8 +29,8 @@ pub(super) struct Profile {
 }
 
 impl Profile {
-    /// `None` for a plane seen edge-on.
-    pub fn new(centre: DVec2, light: &Lit, plane: &Plane, rays: &LitRays) -> Option<Profile> {
+    /// Returns the profile of a beam of this 1/e² radius (mm); `None` for a plane seen edge-on.
+    pub fn new(centre: DVec2, radius: f64, plane: &Plane, rays: &LitRays) -> Option<Profile> {
         let sight = &rays.from_laser;
         let (direction, steps) = sight.around(centre);
         let along = plane.normal.dot(direction);
@@ -40,7 +40,7 @@ impl Profile {
         }
         let (moves, ratios) = plane.moves(direction, steps);
         let moves = moves.map(|step| way * step);
-        let scale = SQRT_2 / light.radius;
+        let scale = SQRT_2 / radius;
         let across = |p: DVec3| {
             let off = rays.view.laser.off_middle(p) * scale;
             [off.x as f32, off.y as f32]
@@ -66,6 +66,32 @@ impl Profile {
     pub fn steepness(&self) -> f32 {
         let change = |[x, y]: [f32; 2]| x.hypot(y);
         change(self.by_column).max(change(self.by_row))
+    }
+
+    /// Returns the place in a cell at which the light is brightest, pixels from the profile's centre.
+    ///
+    /// `middle` is the cell's centre, also from there. Steps of steepest descent of the squared distance to the beam's
+    /// axis, cut to the cell, meet the axis of a sheet at once; a few more serve where they leave the cell.
+    pub fn brightest(&self, middle: DVec2, half: DVec2) -> DVec2 {
+        let [centre, by_column, by_row] =
+            [self.centre, self.by_column, self.by_row].map(|[x, y]| DVec2::new(x as f64, y as f64));
+        let [by_x, by_y] = self.denominator.map(|ratio| ratio as f64);
+        let mut at = middle;
+        for _ in 0..DESCENT_STEPS {
+            let denominator = (1.0 + at.x * by_x + at.y * by_y).max(1e-6);
+            let moved = (by_column * at.x + by_row * at.y) / denominator;
+            let off = centre + moved;
+            let jacobian = [by_column - moved * by_x, by_row - moved * by_y]
+                .map(|change| change / denominator);
+            let gradient = DVec2::new(jacobian[0].dot(off), jacobian[1].dot(off));
+            let change = jacobian[0] * gradient.x + jacobian[1] * gradient.y;
+            let step = gradient * (gradient.length_squared() / change.length_squared());
+            if !step.is_finite() {
+                break;
+            }
+            at = (at - step).clamp(middle - half, middle + half);
+        }
+        at
     }
 
     /// Mean of the profile over a cell whose centre lies `off` (pixels) from the profile's.
@@ -100,6 +126,9 @@ impl Profile {
         (-(a * a + b * b)).max(f32x4::splat(-87.0)).exp()
     }
 }
+
+/// Steps of [`Profile::brightest`]. A choice.
+const DESCENT_STEPS: usize = 8;
 
 fn dot(a: [f32; 2], b: [f32; 2]) -> f32 {
     a[0] * b[0] + a[1] * b[1]

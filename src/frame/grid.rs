@@ -89,8 +89,6 @@ pub(super) struct Nodes {
     fours: Vec<Four>,
     cells: Vec<Cell>,
     is_even: bool,
-    /// Whether samples are means over their cells everywhere.
-    pub are_means: bool,
     /// Change of a Gaussian's argument u, exp(-u²), from pixel to pixel, up to which samples at points do.
     pub steepest: f32,
 }
@@ -132,7 +130,6 @@ impl Nodes {
         };
         Nodes {
             cells: rows.map(cell).collect(),
-            are_means: false,
             steepest: (SQRT_2 * grid.narrowest()).recip() as f32,
             fours: samples.chunks(4).map(four).collect(),
             weights: samples.iter().map(|(_, weight)| *weight as f32).collect(),

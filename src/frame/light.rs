@@ -3,7 +3,7 @@
 //! solid angle. No speckle yet.
 
 use super::View;
-use super::defocus::{self, Blur, Spread};
+use super::defocus::{self, Spread};
 use super::flat::Profile;
 use super::grid::{Grid, Nodes};
 use super::irradiance::Irradiance;
@@ -190,12 +190,10 @@ pub fn light(view: &View, pixels: Pixels) -> Light {
     let sight = Sight::new(view.camera, &view.part_from_camera);
     let speckle = view.speckle.as_ref();
     let spread = Spread::new(view);
-    let mut nodes = Nodes::new(defocus::grid(view));
-    nodes.are_means = view.lens.blur == Blur::Mean && nodes.transformed() == nodes.side();
     let frame = Frame {
         rays: LitRays::new(view, &sight, spread.is_some()),
         rows: Rows::new(pixels),
-        nodes,
+        nodes: Nodes::new(defocus::grid(view)),
         reads_surface: speckle.is_some_and(|speckle| speckle.patterns.read_surface()),
         spread,
     };
@@ -380,9 +378,13 @@ impl Frame<'_> {
         let met = window.tile(band, first);
         let mut apart = wanted & !(dark | flat);
         for i in (0..WIDTH).filter(|i| flat >> i & 1 == 1) {
-            if let Met::Lit(lit, plane) = &met[i] {
-                let is_done = self.flat(pixels[i], lit, plane, around > 0, task);
-                apart |= u16::from(!is_done) << i;
+            match &met[i] {
+                Met::Lit(lit, plane) => {
+                    let is_done = self.flat(pixels[i], lit, plane, around > 0, task);
+                    apart |= u16::from(!is_done) << i;
+                }
+                Met::Beside(_) => apart |= 1 << i,
+                _ => {}
             }
         }
         self.apart(&pixels, apart, task);
@@ -391,7 +393,7 @@ impl Frame<'_> {
     /// The light of a pixel that sees a plane, from the ray of its centre; false where that is
     /// not enough, if `asked`.
     fn flat(&self, pixel: Pixel, lit: &Lit, plane: &Plane, asked: bool, task: &mut Task) -> bool {
-        let Some(profile) = Profile::new(pixel.centre, lit, plane, &self.rays) else {
+        let Some(profile) = Profile::new(pixel.centre, lit.radius, plane, &self.rays) else {
             return true;
         };
         if asked && !profile.is_constant(plane, &self.rays) {
@@ -400,7 +402,7 @@ impl Frame<'_> {
         let own = self.samples(pixel, task);
         let irradiance = lit.irradiance as f32;
         let samples = &mut task.irradiance[own.clone()];
-        if self.nodes.are_means || profile.steepness() > self.nodes.steepest {
+        if profile.steepness() > self.nodes.steepest {
             for (sample, cell) in samples.iter_mut().zip(self.nodes.cells()) {
                 *sample = profile.mean(cell.centre, cell) * irradiance;
             }
@@ -427,11 +429,12 @@ impl Frame<'_> {
 
     /// Returns the fraction of the light on the beam's axis at a sample with its own ray.
     ///
-    /// The sample is given by its `place` and its `number` in the pixel. The result is the mean over its cell if the
+    /// The sample is given by its `place`, which lies `off` from the pixel's centre, and its `number` in the pixel. The result is the mean over its cell if the
     /// profile changes there by more than a value at a point resolves.
     fn share(
         &self,
         place: DVec2,
+        off: DVec2,
         towards: DVec3,
         (lit, plane): (&Lit, &Plane),
         number: usize,
@@ -439,14 +442,13 @@ impl Frame<'_> {
         // The bound holds for a pinhole. A lens that distorts stretches the image by less than twice.
         let distance = plane.point.distance(self.rays.from_laser.eye);
         let change = 2.0 * SQRT_2 * distance * self.rays.moves_across(plane, towards, 1.0);
-        if !self.nodes.are_means && change <= self.nodes.steepest as f64 * lit.radius {
+        if change <= self.nodes.steepest as f64 * lit.radius {
             return lit.share();
         }
-        match Profile::new(place, lit, plane, &self.rays) {
-            Some(profile) if self.nodes.are_means || profile.steepness() > self.nodes.steepest => {
+        match Profile::new(place, lit.radius, plane, &self.rays) {
+            Some(profile) if profile.steepness() > self.nodes.steepest => {
                 let cell = &self.nodes.cells()[number];
-                let off = cell.centre - self.nodes.places()[number];
-                profile.mean(off, cell) as f64
+                profile.mean(cell.centre - off, cell) as f64
             }
             _ => lit.share(),
         }
@@ -485,6 +487,46 @@ impl Frame<'_> {
         }
     }
 
+    /// Aims the rays of samples beyond the light whose cells may see light at the brightest place of their cells.
+    ///
+    /// Samples are numbered from `first` on. The light then is seen by a ray of its own, at which surface and shadow are
+    /// known.
+    fn aim(
+        &self,
+        first: usize,
+        pixels: &[Pixel],
+        places: &mut [DVec2; WIDTH],
+        rays: &mut Rays,
+        met: &mut [Met],
+    ) {
+        let count = self.nodes.places().len();
+        let mut aimed = 0;
+        for i in 0..met.len() {
+            let Met::Beside(plane) = &met[i] else {
+                continue;
+            };
+            let cell = &self.nodes.cells()[(first + i) % count];
+            let middle = pixels[(first + i) / count].centre + cell.centre;
+            // The radius scales the profile and does not move its axis.
+            let radius = self.rays.view.laser.beam.waist_radius;
+            if let Some(profile) = Profile::new(places[i], radius, plane, &self.rays) {
+                places[i] += profile.brightest(middle - places[i], cell.half);
+                let mut bend = DVec2::ZERO;
+                let to_sensor = self.rays.sight.to_sensor(places[i]);
+                rays[i] = self.rays.ray(self.rays.sight.towards(to_sensor, &mut bend));
+                aimed |= 1 << i;
+            }
+        }
+        if aimed == 0 {
+            return;
+        }
+        let mut seen = [const { Met::Nothing }; WIDTH];
+        (self.rays).look(&places[..met.len()], rays, aimed, 0.0, &mut seen);
+        for i in (0..met.len()).filter(|i| aimed >> i & 1 == 1) {
+            met[i] = seen[i];
+        }
+    }
+
     /// The light of those of up to [`BLOCK`]² pixels that are `wanted` (as bits), by a ray for
     /// each sample.
     fn sampled(&self, pixels: &[Pixel], wanted: u16, task: &mut Task) {
@@ -511,13 +553,21 @@ impl Frame<'_> {
             }
             let mut met = [const { Met::Nothing }; WIDTH];
             (self.rays).look(&places[..chunk.len()], &rays, rays_wanted, reach, &mut met);
+            self.aim(
+                first,
+                pixels,
+                &mut places,
+                &mut rays,
+                &mut met[..chunk.len()],
+            );
             for (ray, met) in chunk.zip(&met) {
                 if let Met::Lit(lit, plane) = met {
                     let pixel = pixels[ray / samples.len()];
                     let number = ray % samples.len();
                     let sample = self.samples(pixel, task).start + number;
                     let (place, towards) = (places[ray - first], rays[ray - first].direction);
-                    let share = self.share(place, towards, (lit, plane), number);
+                    let off = place - pixel.centre;
+                    let share = self.share(place, off, towards, (lit, plane), number);
                     task.irradiance[sample] = (lit.irradiance * share) as f32;
                     if self.reads_surface {
                         task.surface[sample] = Seen::new(plane);

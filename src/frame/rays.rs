@@ -39,6 +39,8 @@ pub(super) enum Met {
     },
     /// Beyond the end of the light, with all of the sensor's part around it.
     Dark(Plane),
+    /// Beyond the end of the light, but the sensor's part around it may see light.
+    Beside(Plane),
     /// Facing away from the laser, hidden from it or outside its fan.
     Unlit(Plane),
     Lit(Lit, Plane),
@@ -320,10 +322,12 @@ impl<'a> LitRays<'a> {
         };
         let r2 = laser.off_middle(point).length_squared();
         if r2 > (self.view.cutoff_radii * radius).powi(2) {
-            let nearest = r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
-            if nearest >= (self.view.cutoff_radii - COARSE) * radius {
-                return (Met::Dark(plane), None);
-            }
+            let nearest = || r2.sqrt() - hit.t * self.moves_across(&plane, direction, around);
+            let is_near = around > 0.0 && nearest() < (self.view.cutoff_radii - COARSE) * radius;
+            return match is_near {
+                true => (Met::Beside(plane), None),
+                false => (Met::Dark(plane), None),
+            };
         }
         let received = -section.flux.dot(normal);
         let start = hit.point + hit.normal * self.view.accel.resolution();

@@ -118,7 +118,9 @@ impl Met {
     fn plane(&self) -> Option<&Plane> {
         match self {
             Met::Nothing | Met::Far { .. } => None,
-            Met::Dark(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => Some(plane),
+            Met::Dark(plane) | Met::Beside(plane) | Met::Unlit(plane) | Met::Lit(_, plane) => {
+                Some(plane)
+            }
         }
     }
 }
@@ -135,7 +137,7 @@ struct Around {
     nothing: u64,
     lit: u64,
     unlit: u64,
-    /// Which cells see surface beyond the light, above the laser's sheet and below it.
+    /// And which surface beyond the light, above the laser's sheet and below it; [`Met::Beside`] is both.
     above: u64,
     below: u64,
     points: [[f32; CELLS]; 3],
@@ -180,7 +182,7 @@ impl Around {
     fn set(&mut self, cell: usize, center: &Met, origin: DVec3) {
         let bits = match center {
             Met::Nothing | Met::Far { .. } => &mut self.nothing,
-            Met::Dark(_) => &mut 0,
+            Met::Dark(_) | Met::Beside(_) => &mut 0,
             Met::Unlit(_) => &mut self.unlit,
             Met::Lit(..) => &mut self.lit,
         };
@@ -188,6 +190,7 @@ impl Around {
         let [above, below] = match center {
             Met::Far { above } => [*above, !above],
             Met::Dark(plane) => [plane.point.y > 0.0, plane.point.y <= 0.0],
+            Met::Beside(_) => [true; 2],
             _ => [false; 2],
         };
         self.above |= u64::from(above) << cell;
@@ -221,7 +224,8 @@ impl Around {
         let surface = Around::pixels(wanted & !dark, |cell| {
             let parted = centre(self.lit, cell) && near(self.unlit, cell)
                 || centre(self.unlit, cell) && near(self.lit, cell);
-            !near(self.nothing, cell) && !parted
+            let is_coarse = centre(self.above & self.below, cell);
+            !near(self.nothing, cell) && !parted && !is_coarse
         });
         let rows = (0..SIDE).filter(|row| surface >> (SIDE * row) & 0xf != 0);
         let flat = rows.fold(0, |bits, row| bits | self.flat(row, turn) << (SIDE * row));

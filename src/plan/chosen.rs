@@ -34,6 +34,8 @@ pub struct Plan {
     /// 1/e² half width of the line's image where it is narrowest on the part, for
     /// a surface across the beam, pixels.
     pub line_half_width_px: f64,
+    /// 1/e² half width of the line's image on the part's own slopes, pixels: 1 % of the places have a narrower one.
+    pub narrowest_half_width_px: f64,
     /// Speckle on the sensor where it may see the line.
     #[serde(flatten)]
     pub grain: GrainExtent,
@@ -72,6 +74,7 @@ impl Plan {
             blur: self.blur,
             reach: if self.blur == Blur::None { 0 } else { reach },
             line_sigma: self.line_half_width_px / 2.0,
+            narrowest_sigma: self.narrowest_half_width_px / 2.0,
         }
     }
 

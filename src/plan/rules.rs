@@ -90,6 +90,7 @@ impl Plan {
             reflections: None,
             reflections_noise: None,
             line_half_width_px: line.half_width_px,
+            narrowest_half_width_px: line.narrowest_px,
             grain: line.grain,
             defocus_blur_px: line.defocus_blur_px,
             blurred_share: line.blurred_share,
@@ -163,7 +164,7 @@ impl Plan {
                 _ => format!("{n} × {n} samples a pixel; 1 ray on flat surface, all at edges"),
             },
             format!(
-                "line's 1/e² half width {:.2} px, {:.2} px on the steepest surface: sampling moves its centroid \
+                "line's 1/e² half width {:.2} px, {:.2} px on steep surfaces: sampling moves its centroid \
                  by < {:.1e} px; dark beyond {:.2} radii",
                 self.line_half_width_px,
                 line.narrowest_px,
@@ -197,7 +198,7 @@ impl Plan {
 /// The image of the line over the part.
 struct LineImage {
     half_width_px: f64,
-    /// Least 1/e² half width across the line on the surface itself.
+    /// See [`Plan::narrowest_half_width_px`].
     narrowest_px: f64,
     defocus_blur_px: f64,
     blurred_share: f64,
@@ -216,8 +217,8 @@ struct LineImage {
 
 /// Relative loss of a line's peak up to which the lens is not modelled.
 const LOSS_TOLERANCE: f64 = 0.02;
-/// Fraction of the places at which the loss may be greater.
-const LOWERED_SHARE: f64 = 0.01;
+/// Fraction of the places that do not decide how the line is sampled and whether the lens is modelled.
+const FEW: f64 = 0.01;
 /// Widest blur, in standard deviations of the line, and thinnest line, in grains, for which speckle may be
 /// multiplied into the light: its centroid noise then is at most 3 % short, and the lens's share of it
 /// at most as much.
@@ -273,7 +274,7 @@ impl LineImage {
         let method = speckle.map(|optics| optics.method);
         let texture = self.blur_sigmas <= MOST_SIGMAS && self.sigma_grains >= LEAST_GRAINS;
         match method {
-            _ if self.lowered_share <= LOWERED_SHARE => Blur::None,
+            _ if self.lowered_share <= FEW => Blur::None,
             Some(Method::Field) if !texture => Blur::Coherent,
             _ => Blur::Mean,
         }
@@ -322,7 +323,7 @@ impl LineImage {
         } = optics;
         let mut image = LineImage {
             half_width_px: f64::INFINITY,
-            narrowest_px: f64::INFINITY,
+            narrowest_px: 1.0,
             defocus_blur_px: 0.0,
             blurred_share: 0.0,
             px_per_mm: f64::INFINITY,
@@ -335,6 +336,7 @@ impl LineImage {
         };
         let grains = |pixel| camera.grains_per_pixel(pixel, laser.beam.wavelength);
         let each = 1.0 / seen.places.len().max(1) as f64;
+        let mut widths = Vec::with_capacity(seen.places.len());
         for (i, &p) in seen.places.iter().enumerate() {
             let pixel = camera.project(camera_from_laser.point(p));
             let moved = |by: DVec3| {
@@ -353,7 +355,7 @@ impl LineImage {
                 let normal = seen.normals.get(i);
                 let on_plane = normal.and_then(|&n| width_on_plane(optics, p, n, width));
                 let narrowest = on_plane.unwrap_or(px).min(px);
-                image.narrowest_px = image.narrowest_px.min(narrowest);
+                widths.push(narrowest);
                 image.half_width_px = image.half_width_px.min(px);
                 image.blurred_share += f64::from(blur_px > px) * each;
                 let sigma = px / 2.0;
@@ -369,9 +371,11 @@ impl LineImage {
             let defocus = camera.defocus(camera_from_laser.point(p)).unwrap_or(0.0);
             image.defocus = image.defocus.max(defocus.abs());
         }
+        widths.sort_unstable_by(f64::total_cmp);
+        let few = (FEW * widths.len() as f64) as usize;
+        image.narrowest_px = widths.get(few).copied().unwrap_or(1.0);
         if !image.half_width_px.is_finite() || !image.px_per_mm.is_finite() {
             image.half_width_px = 1.0;
-            image.narrowest_px = 1.0;
             image.px_per_mm = 1.0;
         }
         if image.grain == GrainExtent::NONE {

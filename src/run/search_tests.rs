@@ -16,6 +16,7 @@ fn base() -> Plan {
         blur: crate::frame::Blur::None,
         cutoff_radii: 3.06,
         line_half_width_px: 3.0,
+        narrowest_half_width_px: 3.0,
         grain: GrainExtent::NONE,
         defocus_blur_px: 0.0,
         blurred_share: 0.0,
