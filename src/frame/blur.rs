@@ -264,9 +264,9 @@ fn rows_of_one_pupil(view: &View, column: f64) -> isize {
     let change = |a: DVec2, b: DVec2| (a / b).map(f64::ln).abs().max_element();
     let change = |i: usize| (0..2).map(move |k| change(size[i][k], size[i + 1][k]));
     let most = (0..2).flat_map(change).fold(0.0, f64::max);
-    let height = PEAK_TOLERANCE * rows / most;
-    // Not more than any sensor has, nor NaN.
-    height.max(FEWEST_ROWS).min(f64::from(u16::MAX)) as isize
+    // Equal parts of the sensor's rows; `max` also turns NaN into one part.
+    let parts = (most / PEAK_TOLERANCE).ceil().max(1.0);
+    (rows / parts).max(FEWEST_ROWS).ceil() as isize
 }
 
 /// Returns the relative error of the peak of a line of standard deviation `line` whose blurs from `low` to `high` are
@@ -298,10 +298,8 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
     }
     let wavelength = view.laser.beam.wavelength;
     let side = light.nodes.transformed();
-    let step = match view.lens.blur {
-        Blur::Coherent => STEP / 2.0,
-        _ => STEP,
-    };
+    let is_field = view.lens.blur == Blur::Coherent;
+    let step = if is_field { STEP / 2.0 } else { STEP };
     let mut tiles = Vec::new();
     for (i, block) in blocks.iter().enumerate() {
         let start = (i * COLUMNS) as isize - beyond;
@@ -310,10 +308,17 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
         let mut rest = &block[..];
         while let Some((first, _)) = rest.first() {
             let first = first.row;
-            // Where its rows end is the same whatever they hold.
-            let last = (first.div_euclid(height) + 1) * height;
-            let place = DVec2::new(middle, last as f64 - 0.5 * height as f64);
-            let pupil = Pupil::new(view.camera, place, wavelength);
+            // Where its rows end is the same whatever they hold. Fields are not parted: their tiles' pupils differ in phase.
+            let last = match is_field {
+                true => isize::MAX,
+                false => (first.div_euclid(height) + 1) * height,
+            };
+            let middle_row = match is_field {
+                true => first as f64,
+                false => last as f64 - 0.5 * height as f64,
+            };
+            let pupil_at = |row| Pupil::new(view.camera, DVec2::new(middle, row), wavelength);
+            let mut pupil = pupil_at(middle_row);
             // Twice as wide as a tile's margin may be light is spread out of sight.
             let widest = 2.0 * view.lens.reach as f64 / pupil.reach(1.0, 0.0).max_element();
             // Until the next gap that light does not cross.
@@ -331,10 +336,16 @@ fn tiles(light: &Light, view: &View, beyond: isize) -> Vec<Tile> {
                 margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
                 (end, count) = (pixel.row, count + 1);
             }
+            if is_field {
+                pupil = pupil_at(0.5 * (first + end + 1) as f64);
+                let reach = pupil.reach(low.abs().max(high.abs()), GRAINS);
+                margin = (reach.to_array()).map(|x| (x.ceil() as usize).min(view.lens.reach));
+            }
             let (own, others) = rest.split_at(count);
             let steps = ((high - low) / step).ceil().max(1.0);
             let line = view.lens.line_sigma * pupil.grains.determinant().sqrt();
-            let is_one = high - low <= step && off_in_one_layer(low, high, line) < PEAK_TOLERANCE;
+            let is_one = high - low <= step
+                && (is_field || off_in_one_layer(low, high, line) < PEAK_TOLERANCE);
             tiles.push(Tile {
                 own: Rectangle {
                     columns: start..start + COLUMNS as isize,
