@@ -15,12 +15,17 @@
  * THREADS   Any function may be called from any thread at any time, also with the same
  *           handle. A handle that one thread frees while another works with it is freed at
  *           the end of that work.
- * FLOATS    The caller's rounding mode and floating-point traps have no effect on results and
- *           are left as they were; a progress function is called with them.
- * STACK     A thread that calls the library needs 512 KiB of stack.
- * FORK      After the first call of any function, a child made by fork() cannot use the
- *           library: each function that can fail gives LASERTRACE_STATUS_RESOURCES there. Fork
- *           before the first call, or call exec in the child.
+ * FLOATS    The caller's rounding mode, floating-point traps, exception flags and treatment of
+ *           denormal numbers have no effect on results. Each call restores them at its end. A
+ *           progress function is called with them.
+ * STACK     A thread that calls the library needs 512 KiB of stack. Scenes of this repository
+ *           needed between 96 and 128 KiB.
+ * FORK      A child made by fork() after the first call cannot use the library, nor handles
+ *           made before. Each function that can fail returns LASERTRACE_STATUS_RESOURCES there.
+ *           Fork before the first call, or call exec in the child.
+ * NUMBER    Handles are limited by memory and by the number of threads that the system grants:
+ *           each caster and each simulation starts its threads when it is made, and ends them
+ *           when it is freed. 2000 casters at once are tested.
  * UNITS     Millimetres, radians; counts of the sensor are 16-bit numbers.
  */
 
