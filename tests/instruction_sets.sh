@@ -1,8 +1,10 @@
 #!/bin/sh
 # Takes the same frames with every set of vector instructions that the machine and Embree offer
 # and compares the bytes of images, clouds and truth. Prints the figures last; fails if a byte
-# differs. Where qemu-x86_64 is installed, one frame is also taken on an emulated processor
-# without AVX, which changes the instructions of the other libraries too.
+# differs. The same frames are taken with the C library's sine, exponential and so on for
+# processors without FMA, whose last bit may be another. Where qemu-x86_64 is installed, frames
+# are also taken on an emulated processor without AVX: this changes the instructions of all
+# libraries, such as those for Fourier transforms.
 #
 #   tests/instruction_sets.sh PROGRAM OUT [small]
 set -eu
@@ -87,20 +89,31 @@ $scan
 END
     run=
     take "$scene" "$from" "$to" "$speckle" "$out/own-$number"
-    for set in $sets; do
+    for set in $sets no-fma; do
         run="env LASERTRACE_ISA=$set LD_PRELOAD=$out/isa.so"
+        [ "$set" != no-fma ] || run='env GLIBC_TUNABLES=glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-AVX'
         take "$scene" "$from" "$to" "$speckle" "$out/$set-$number"
         compare "$out/$set-$number" "$out/own-$number" "$scene with $set"
     done
 done
-taken=$(echo $sets)
+taken="$(echo $sets) and the C library without FMA"
 
-if [ "$form" != small ] && command -v qemu-x86_64 >/dev/null; then
+# Takes a frame of a scene on both processors: scene, frame, folder.
+emulate() {
     run=
-    take scenes/bracket/scene.toml 60 61 true "$out/own-qemu"
+    take "$1" "$2" $(($2 + 1)) true "$out/own-$3"
     run='qemu-x86_64 -cpu Nehalem'
-    take scenes/bracket/scene.toml 60 61 true "$out/emulated-qemu"
-    compare "$out/emulated-qemu" "$out/own-qemu" 'an emulated processor without AVX'
+    take "$1" "$2" $(($2 + 1)) true "$out/emulated-$3"
+    compare "$out/emulated-$3" "$out/own-$3" 'an emulated processor without AVX'
+}
+
+if command -v qemu-x86_64 >/dev/null; then
+    emulate scenes/plane/scene.toml 3 plane
+    if [ "$form" != small ]; then
+        emulate scenes/bracket/scene.toml 60 bracket
+        emulate scenes/metal/scene.toml 0 metal
+        emulate scenes/rotary/scene.toml 5 rotary
+    fi
     taken="$taken, and on an emulated processor without AVX"
 fi
 

@@ -3,7 +3,7 @@
 
 #![allow(unsafe_code)]
 
-use super::embree_device::{Device, ffi};
+use super::embree_device::{Device, ffi, reported};
 use super::lanes::{Inside, Lanes};
 use super::part_box::{PartBox, Side};
 use super::quads::Quads;
@@ -22,7 +22,7 @@ use std::sync::{Arc, Mutex};
 pub struct Tree {
     pub(super) scene: ffi::RTCScene,
     // Dropped after `scene` is released in `drop`.
-    pub(super) device: Device,
+    pub(super) device: Arc<Device>,
     /// The scene refers to its triangles, or to the quads if there are any.
     mesh: Arc<Mesh>,
     quads: Option<Quads>,
@@ -77,14 +77,14 @@ impl Tree {
         threads: usize,
         watch: &Watch,
     ) -> Result<Tree> {
-        let tree = Tree::filled(Device::new(threads)?, mesh, Quads::of(mesh), part, true)?;
+        let tree = Tree::filled(Device::common(threads)?, mesh, Quads::of(mesh), part, true)?;
         tree.commit(watch)?;
         Ok(tree)
     }
 
     /// A scene of the mesh, or of its triangles in pairs, that is still to be committed.
     pub(super) fn filled(
-        device: Device,
+        device: Arc<Device>,
         mesh: &Arc<Mesh>,
         quads: Option<Quads>,
         part: &PartBox,
@@ -99,7 +99,7 @@ impl Tree {
         // SAFETY: the device is live, the out-pointer valid for the call. The tree
         // that releases the scene keeps the mesh and the quads, so that what
         // Embree only reads of them stays where it is.
-        let scene = unsafe {
+        let scene = reported(|| unsafe {
             ffi::lt_mesh_scene_new(
                 device.handle,
                 robust,
@@ -109,9 +109,8 @@ impl Tree {
                 faces,
                 indices,
             )
-        };
+        })?;
         if scene.is_null() {
-            device.check()?;
             return Err(Error::Embree("cannot make a scene".into()));
         }
         let tree = Tree {
@@ -139,17 +138,17 @@ impl Tree {
         };
         // SAFETY: the scene is live and its buffers are filled; `watched` outlives
         // the calls, after which nothing refers to it.
-        unsafe {
+        let committed = reported(|| unsafe {
             let user = &watched as *const Watched as *mut c_void;
             ffi::lt_scene_on_progress(self.scene, Some(tell), user);
             ffi::lt_scene_commit(self.scene);
             ffi::lt_scene_on_progress(self.scene, None, std::ptr::null_mut());
-        }
+        });
         let stopped = watched
             .error
             .into_inner()
             .unwrap_or_else(|p| p.into_inner());
-        stopped.map_or_else(|| self.device.check(), Err)
+        stopped.map_or(committed, Err)
     }
 
     /// Rays that are traced together: which others there are has a say in which of two

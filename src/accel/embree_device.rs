@@ -3,8 +3,9 @@
 #![allow(unsafe_code)]
 
 use crate::error::{Error, Result};
+use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char, c_void};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Weak};
 
 #[allow(
     dead_code,
@@ -33,8 +34,23 @@ pub fn version() -> String {
     version_string(unsafe { ffi::lt_header_version() })
 }
 
-/// The first error Embree reported since it was last asked, and its code.
-type ErrorSlot = Mutex<Option<(ffi::RTCError, String)>>;
+thread_local! {
+    /// The first error that Embree reported to this thread during [`reported`], and its code.
+    ///
+    /// Embree calls the error function on the thread that called Embree, also if the error
+    /// arose on a worker. Threads that use one device at a time therefore never see each
+    /// other's errors.
+    static FIRST: RefCell<Option<(ffi::RTCError, String)>> = const { RefCell::new(None) };
+}
+
+/// Devices in use, each with its number of threads.
+///
+/// Hierarchies use a device in common, since each device occupies one of the 1024 keys that
+/// Linux has for storage per thread: about 1018 hierarchies exhausted them. An interrupted
+/// build has no effect on another one, as Embree holds progress functions per scene and
+/// reports errors per thread. The functions that Embree holds per device (errors, memory) are
+/// set before anyone else sees the device.
+static DEVICES: Mutex<Vec<(usize, Weak<Device>)>> = Mutex::new(Vec::new());
 
 fn error(code: ffi::RTCError, text: &str) -> Error {
     let text = format!("{text} (error {code})");
@@ -44,32 +60,71 @@ fn error(code: ffi::RTCError, text: &str) -> Error {
     }
 }
 
-unsafe extern "C" fn record_error(slot: *mut c_void, code: ffi::RTCError, text: *const c_char) {
-    // SAFETY: `slot` is the ErrorSlot given to lt_device_on_error, which lives as
-    // long as the device and is only read through shared references; `text` is NULL or a C string of Embree's.
-    let (slot, text) = unsafe {
-        let text = if text.is_null() {
-            "no text".into()
-        } else {
-            CStr::from_ptr(text).to_string_lossy()
-        };
-        (&*(slot as *const ErrorSlot), text)
+unsafe extern "C" fn record_error(_: *mut c_void, code: ffi::RTCError, text: *const c_char) {
+    let text = if text.is_null() {
+        "no text".into()
+    } else {
+        // SAFETY: a C string of Embree's, which outlives the call.
+        unsafe { CStr::from_ptr(text) }.to_string_lossy()
     };
-    let mut first = slot.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    first.get_or_insert_with(|| (code, text.into_owned()));
+    // A thread that ends has destroyed the storage, and reads no error any more.
+    let _ = FIRST.try_with(|first| {
+        let mut first = first.borrow_mut();
+        first.get_or_insert_with(|| (code, text.into_owned()));
+    });
+}
+
+/// Calls Embree and returns its result, or the error that it reported during the call. An
+/// error of an earlier call on this thread, such as a build that was interrupted, is not
+/// mistaken for one of this call.
+pub(super) fn reported<T>(call: impl FnOnce() -> T) -> Result<T> {
+    FIRST.take();
+    let result = call();
+    match FIRST.take() {
+        None => Ok(result),
+        Some((code, text)) => Err(error(code, &text)),
+    }
 }
 
 pub(super) struct Device {
     pub(super) handle: ffi::RTCDevice,
     /// Rays that are traced together.
     pub(super) packet: u32,
-    // Not a box: Embree holds a pointer to it, and to move a box claims that no one does.
-    error: Arc<ErrorSlot>,
 }
 
+// SAFETY: Embree's devices may be used from any thread, and their references are counted
+// atomically.
+unsafe impl Send for Device {}
+// SAFETY: as above. Many threads may make objects of one device at once.
+unsafe impl Sync for Device {}
+
 impl Device {
-    pub(super) fn new(threads: usize) -> Result<Device> {
-        Device::configured(&format!("threads={threads}"))
+    /// Returns the device that builds with `threads` threads: the one in use, or a new one.
+    pub(super) fn common(threads: usize) -> Result<Arc<Device>> {
+        // Threads in excess of the machine's only slow a build down, and each number of
+        // threads takes a device.
+        let most = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
+        let threads = threads.min(most);
+        if let Some(device) = Device::in_use(threads, None) {
+            return Ok(device);
+        }
+        // Made while the list is unlocked: a child made by `fork` meanwhile has a copy of the
+        // list, and no thread that would unlock it.
+        let device = Arc::new(Device::configured(&format!("threads={threads}"))?);
+        Ok(Device::in_use(threads, Some(&device)).unwrap_or(device))
+    }
+
+    /// Returns the device in use with this number of threads. If there is none, `new` becomes
+    /// that device.
+    fn in_use(threads: usize, new: Option<&Arc<Device>>) -> Option<Arc<Device>> {
+        let mut devices = DEVICES.lock().unwrap_or_else(|p| p.into_inner());
+        devices.retain(|(_, device)| device.strong_count() > 0);
+        let mut same = devices.iter().filter(|(number, _)| *number == threads);
+        let found = same.find_map(|(_, device)| device.upgrade());
+        if let (None, Some(new)) = (&found, new) {
+            devices.push((threads, Arc::downgrade(new)));
+        }
+        found
     }
 
     /// With settings as `rtcNewDevice` takes them.
@@ -81,12 +136,9 @@ impl Device {
         if handle.is_null() {
             return Err(error(code, "cannot start"));
         }
-        let slot = Arc::new(ErrorSlot::default());
-        let user = Arc::as_ptr(&slot) as *mut c_void;
-        // SAFETY: the handle is a live device; the slot stays where it is as long as
-        // the device holds it, which `drop` releases before the slot.
+        // SAFETY: the handle is a live device; `record_error` does not use the pointer.
         let (header, library, packet) = unsafe {
-            ffi::lt_device_on_error(handle, Some(record_error), user);
+            ffi::lt_device_on_error(handle, Some(record_error), std::ptr::null_mut());
             let packet = ffi::lt_packet_width(handle);
             (
                 ffi::lt_header_version(),
@@ -94,25 +146,9 @@ impl Device {
                 packet,
             )
         };
-        let device = Device {
-            handle,
-            packet,
-            error: slot,
-        };
+        let device = Device { handle, packet };
         check_versions(header, library)?;
         Ok(device)
-    }
-
-    /// What Embree reported, if anything.
-    pub(super) fn check(&self) -> Result<()> {
-        let mut first = self
-            .error
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner());
-        match first.take() {
-            None => Ok(()),
-            Some((code, text)) => Err(error(code, &text)),
-        }
     }
 }
 
@@ -149,23 +185,35 @@ mod tests {
         );
     }
 
+    /// Hierarchies built with one number of threads use one device.
+    #[test]
+    fn hierarchies_use_one_device() {
+        let devices = [1, 1, 1].map(|threads| Device::common(threads).unwrap());
+        assert!(devices.iter().all(|d| Arc::ptr_eq(d, &devices[0])));
+        let many = [usize::MAX, 1 << 20].map(|threads| Device::common(threads).unwrap());
+        assert!(Arc::ptr_eq(&many[0], &many[1]));
+    }
+
     #[test]
     fn an_error_of_embree_becomes_an_error() {
-        let device = Device::new(1).unwrap();
-        assert!(device.check().is_ok());
-        let slot = Arc::as_ptr(&device.error) as *mut c_void;
-        // SAFETY: the slot is alive and the text a C string.
-        unsafe { record_error(slot, 4, c"out of memory".as_ptr()) };
-        let error = device.check().unwrap_err();
+        let out_of_memory = || {
+            // SAFETY: the text is a C string.
+            unsafe { record_error(std::ptr::null_mut(), 4, c"out of memory".as_ptr()) }
+        };
+        let error = reported(out_of_memory).unwrap_err();
         assert!(error.to_string().contains("out of memory"), "{error}");
         assert_eq!(error.exit_code(), 75);
+        // Neither an error of another thread nor one before the call.
+        out_of_memory();
+        let other = || std::thread::scope(|scope| scope.spawn(out_of_memory).join().unwrap());
+        assert!(reported(other).is_ok());
         // A mesh no machine has memory for: Embree's own report.
+        let device = Device::common(1).unwrap();
         let (mut v, t) = (std::ptr::null_mut(), [0; 3]);
         // SAFETY: the device is live, the out-pointer valid, and so is the triangle.
-        let scene = unsafe {
+        let scene = reported(|| unsafe {
             ffi::lt_mesh_scene_new(device.handle, true, 1 << 50, &mut v, false, 1, t.as_ptr())
-        };
-        assert!(scene.is_null());
-        assert!(device.check().is_err());
+        });
+        assert!(scene.is_err());
     }
 }

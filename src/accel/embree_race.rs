@@ -68,7 +68,8 @@ impl BareEmbree {
     /// Errors: what Embree reports.
     pub fn build(mesh: &Arc<Mesh>, robust: bool, threads: usize) -> Result<BareEmbree> {
         let memory = Arc::new(Memory::default());
-        let device = Device::new(threads)?;
+        // A separate device, as Embree counts memory per device.
+        let device = Arc::new(Device::configured(&format!("threads={threads}"))?);
         let user = Arc::as_ptr(&memory) as *mut c_void;
         // SAFETY: the device is live, and the counts stay where they are until it is
         // released: the tree that holds it is dropped first.

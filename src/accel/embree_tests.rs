@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 /// A hierarchy by a device with these settings.
 fn built(settings: &str, mesh: &Mesh, quads: Option<Quads>, part: &PartBox) -> Tree {
-    let device = Device::configured(settings).unwrap();
+    let device = Arc::new(Device::configured(settings).unwrap());
     let tree = Tree::filled(device, &Arc::new(mesh.clone()), quads, part, true).unwrap();
     tree.commit(&|_| Ok(())).unwrap();
     tree

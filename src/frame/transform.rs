@@ -2,7 +2,7 @@
 
 use crate::math::DVec2;
 use rustfft::num_complex::Complex32;
-use rustfft::{FftDirection, FftPlanner};
+use rustfft::{FftDirection, FftPlannerScalar};
 use std::cell::RefCell;
 use std::f64::consts::TAU;
 
@@ -97,14 +97,16 @@ impl Drawn {
 
 /// Transforms rectangles within a [`Band`], and keeps what it needs to do so again.
 pub(super) struct Transform {
-    planner: FftPlanner<f32>,
+    /// `FftPlanner` chooses algorithms by the processor's instructions: those for AVX and for
+    /// SSE differ in f32's last digits, which changes counts by 1.
+    planner: FftPlannerScalar<f32>,
     scratch: Vec<Complex32>,
     by_column: Vec<Complex32>,
 }
 
 thread_local! {
     static KEPT: RefCell<Transform> = RefCell::new(Transform {
-        planner: FftPlanner::new(),
+        planner: FftPlannerScalar::new(),
         scratch: Vec::new(),
         by_column: Vec::new(),
     });

@@ -9,6 +9,9 @@
 
 mod buffers;
 mod cast;
+// cbindgen would declare the functions of C that this module calls.
+/// cbindgen:ignore
+mod environment;
 mod handles;
 mod simulate;
 mod status;

@@ -2,6 +2,7 @@
 
 use crate::buffers::{Plain, addresses, apart, one, same_number, set, text, write};
 use crate::cast::pool;
+use crate::environment::Environment;
 use crate::handles::{self, Handle};
 use crate::status::{Failure, Outcome, enter, lasertrace_status};
 use lasertrace_core::inspect::cloud::CloudPoint;
@@ -257,6 +258,7 @@ pub unsafe extern "C" fn lasertrace_simulation_frames(
     progress: lasertrace_progress,
     user: *mut c_void,
 ) -> lasertrace_status {
+    let callers = Environment::current();
     enter("lasertrace_simulation_frames", || {
         let simulator = handles::find(simulation)?;
         let lasertrace_size {
@@ -278,8 +280,10 @@ pub unsafe extern "C" fn lasertrace_simulation_frames(
         // SAFETY: by the caller's word.
         let work = unsafe { buffers(wanted, frame_count as usize, pixels, columns)? };
         simulator.take(first_frame, frame_count, work, |done| {
-            // SAFETY: by the caller's word.
-            progress.is_some_and(|report| unsafe { report(done, frame_count, user) } != 0)
+            progress.is_some_and(|report| {
+                // SAFETY: by the caller's word.
+                callers.during(|| unsafe { report(done, frame_count, user) } != 0)
+            })
         })
     })
 }

@@ -1,5 +1,6 @@
 //! How a call went: a status for the program, a sentence for the person.
 
+use crate::environment;
 use lasertrace_core::Error;
 use std::any::Any;
 use std::cell::RefCell;
@@ -77,10 +78,13 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Does what a function is for and keeps what went wrong; a panic is a status too.
+/// Runs the body of a function and stores the error message; a panic becomes a status. The
+/// caller's floating-point environment has no effect on the work and is restored at its end.
 pub fn enter(function: &str, body: impl FnOnce() -> Outcome) -> lasertrace_status {
     // What a panic may leave half done are the caller's buffers, and a status says so.
-    let failure = match catch_unwind(AssertUnwindSafe(body)) {
+    let body = || environment::same_process().and_then(|()| body());
+    let done = environment::shielded(|| catch_unwind(AssertUnwindSafe(body)));
+    let failure = match done {
         Ok(Ok(())) => return lasertrace_status::Ok,
         Ok(Err(failure)) => failure,
         Err(panic) => Failure {

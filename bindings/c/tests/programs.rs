@@ -189,6 +189,14 @@ fn a_frame_is_to_the_byte_that_of_rust_and_of_the_command_line() {
     });
 }
 
+/// Rounding modes, traps, a small stack, many handles and fork.
+#[test]
+fn what_a_process_does_around_the_library_changes_nothing() {
+    each_way("tests/process.c", |mut program| {
+        run(program.arg(root().join("scenes/plane/scene.toml")));
+    });
+}
+
 /// To renew the table: `LASERTRACE_WRITE_PAGES=1 cargo test -p lasertrace-c --test programs`.
 #[test]
 fn a_hostile_call_is_an_error() {
