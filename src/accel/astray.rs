@@ -189,9 +189,11 @@ fn seek(
         }
         let is_inside = |doubt: &Doubt| inside >> doubt.ray & 1 == 1;
         let mut lost = [None; WIDTH];
+        // Lanes beyond the last ray are not traced.
+        let traced = (u16::MAX as u32 >> (WIDTH - count)) as u16;
         tree.closest(
             &Lanes::new(&beside[..count]),
-            u16::MAX,
+            traced,
             part,
             |k, triangle, t, side| {
                 let doubt = &astray[k / AROUND];

@@ -10,7 +10,7 @@ use crate::math::rng::{Key, Purpose};
 use crate::math::sinc;
 use crate::math::{Aperture, DMat2, DVec2};
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
+use rustfft::{Fft, FftPlannerScalar};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -192,7 +192,7 @@ impl PhasorPlane {
                 .map(|k| std::f64::consts::TAU * k as f64 / (1 << PHASE_BITS) as f64)
                 .map(|phase| Complex32::new(phase.cos() as f32, phase.sin() as f32))
                 .collect(),
-            fft: FftPlanner::new().plan_fft_inverse(spec.size),
+            fft: FftPlannerScalar::new().plan_fft_inverse(spec.size),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Two-dimensional Fourier transform of one period.
 
 use rustfft::num_complex::Complex32;
-use rustfft::{Fft, FftPlanner};
+use rustfft::{Fft, FftPlannerScalar};
 use std::sync::Arc;
 
 /// Transforms of size × size values, unnormalised. Each leaves its result
@@ -14,7 +14,7 @@ pub struct Spectrum {
 
 impl Spectrum {
     pub fn new(size: usize) -> Spectrum {
-        let mut planner = FftPlanner::new();
+        let mut planner = FftPlannerScalar::new();
         Spectrum {
             size,
             forward: planner.plan_fft_forward(size),
