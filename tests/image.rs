@@ -72,6 +72,7 @@ impl Setup {
             cutoff_radii: CUTOFF_RADII,
             lens: LensBlur::NONE,
             indirect: None,
+            stop: None,
         };
         irradiance(&view, &Region::All).dense()
     }

@@ -88,6 +88,7 @@ impl Setup {
                 line_sigma: 1.0,
             },
             indirect: None,
+            stop: None,
         };
         let lit = irradiance(&view, &Region::Lit(&clusters)).dense();
         assert!(lit == irradiance(&view, &Region::All).dense());

@@ -13,6 +13,7 @@ use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{map_request_with_state, map_response};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use std::mem::replace;
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
 use std::path::Path;
@@ -46,6 +47,17 @@ struct View {
     /// One draft at a time, and one final picture beside it: a search for a plan must not hold drafts up.
     drafts: Arc<Semaphore>,
     finals: Arc<Semaphore>,
+    /// The draft that was requested last.
+    latest: Arc<Mutex<Arc<AtomicBool>>>,
+}
+
+/// Cancels a draft when its request ends: it is answered, or nobody waits for it.
+struct Requested(Arc<AtomicBool>);
+
+impl Drop for Requested {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 type Asked = std::result::Result<Query<Values>, QueryRejection>;
@@ -58,6 +70,7 @@ fn router(session: Arc<Session>) -> Router {
         waiting: Arc::new(Semaphore::new(MOST_WAITING)),
         drafts: Arc::new(Semaphore::new(1)),
         finals: Arc::new(Semaphore::new(1)),
+        latest: Arc::default(),
     };
     Router::new()
         .route("/", get(page))
@@ -185,8 +198,17 @@ async fn file(kind: &'static str, content: &'static str) -> Response {
 async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
-    let picture = work(view, turn, move |session| session.draft(&values));
-    Ok(packed(&picture.await?))
+    let stop = Arc::new(AtomicBool::new(false));
+    let requested = Requested(stop.clone());
+    let before = replace(
+        &mut *view.latest.lock().unwrap_or_else(PoisonError::into_inner),
+        stop.clone(),
+    );
+    before.store(true, Ordering::Relaxed);
+    let picture = work(view, turn, move |session| session.draft(&values, &stop));
+    let picture = picture.await;
+    drop(requested);
+    Ok(packed(&picture?))
 }
 
 async fn last(State(view): State<View>, asked: Asked) -> Answer<Response> {
