@@ -97,7 +97,7 @@ pub struct View<'a> {
     pub lens: LensBlur,
     /// `None`: light is reflected once.
     pub indirect: Option<Indirect>,
-    /// Set by anyone, from any thread: nobody waits for the light any more; `None`: it is always wanted.
+    /// Ends the stages when it is set, from any thread; `None`: they always run to their end.
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -115,7 +115,7 @@ impl View<'_> {
 }
 
 /// Returns the result of `work`; `None` where it traced a view whose `stop` was set.
-pub(crate) fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
+pub fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(done) => Some(done),
         Err(why) if why.is::<Stopped>() => None,

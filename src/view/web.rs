@@ -20,7 +20,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 
 /// Requests that may wait at once. A page has two at most.
@@ -157,8 +157,22 @@ async fn work<T: Send + 'static>(
     turn: Arc<Semaphore>,
     work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
 ) -> Answer<T> {
-    let waiting = view.waiting.try_acquire_owned();
-    let waiting = waiting.map_err(|_| Refused::busy())?;
+    let waiting = admitted(&view)?;
+    work_of_admitted(view, waiting, turn, work).await
+}
+
+/// Errors: as many as may wait do.
+fn admitted(view: &View) -> Answer<OwnedSemaphorePermit> {
+    let waiting = view.waiting.clone().try_acquire_owned();
+    waiting.map_err(|_| Refused::busy())
+}
+
+async fn work_of_admitted<T: Send + 'static>(
+    view: View,
+    waiting: OwnedSemaphorePermit,
+    turn: Arc<Semaphore>,
+    work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
+) -> Answer<T> {
     let turn = turn.acquire_owned().await.expect("it is never closed");
     let done = spawn_blocking(move || {
         // The turn is over when the work is, even if nobody waits for it any more.
@@ -198,6 +212,8 @@ async fn file(kind: &'static str, content: &'static str) -> Response {
 async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
+    // A request that is refused cancels nothing: else no draft of many at once would be made.
+    let waiting = admitted(&view)?;
     let stop = Arc::new(AtomicBool::new(false));
     let requested = Requested(stop.clone());
     let before = replace(
@@ -205,8 +221,8 @@ async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
         stop.clone(),
     );
     before.store(true, Ordering::Relaxed);
-    let picture = work(view, turn, move |session| session.draft(&values, &stop));
-    let picture = picture.await;
+    let draft = move |session: &Session| session.draft(&values, &stop);
+    let picture = work_of_admitted(view, waiting, turn, draft).await;
     drop(requested);
     Ok(packed(&picture?))
 }
