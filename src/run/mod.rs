@@ -45,6 +45,8 @@ mod summary;
 pub(crate) mod surface_view;
 mod survey;
 mod sweep;
+#[doc(hidden)]
+pub mod untrusted;
 mod warnings;
 
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};
