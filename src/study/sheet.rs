@@ -147,11 +147,8 @@ pub fn sheet<'a>(
         (control.progress)((i as u64 + 1) * STEPS);
     }
     if places.is_empty() {
-        return Err(no_range(format!(
-            "the camera sees the middle of the laser's beam nowhere from {:.4} to {:.4} mm from the laser, where the \
-             heights are measured",
-            ends[0], ends[1]
-        )));
+        let why = "the camera sees light beside the middle of the laser's beam only, and heights are measured in it";
+        return Err(no_range(why.to_owned()));
     }
     let means = places
         .iter()
