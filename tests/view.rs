@@ -388,7 +388,7 @@ fn a_draft_is_cancelled_by_the_next() {
                 std::thread::sleep(Duration::from_secs(wait));
                 let start = Instant::now();
                 view.taken("draft?frame=4&x_mm=1000");
-                assert!(start.elapsed() < Duration::from_secs(60), "{f_number}");
+                assert!(start.elapsed() < Duration::from_secs(300), "{f_number}");
             }
             let ends = slow.into_iter().map(|one| one.join().unwrap());
             ends.collect::<Vec<u16>>()
