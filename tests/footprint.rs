@@ -173,6 +173,7 @@ impl<'m> Part<'m> {
             cutoff_radii: setup.cutoff_radii,
             lens: LensBlur::NONE,
             indirect: None,
+            stop: None,
         };
         same(
             &irradiance(&view, &Region::All).dense(),

@@ -75,6 +75,7 @@ impl Setup {
             cutoff_radii: CUTOFF_RADII,
             lens: LensBlur::NONE,
             indirect: None,
+            stop: None,
         };
         irradiance(&view, &Region::All).dense()
     }
@@ -642,6 +643,7 @@ fn blur_depends_on_no_other_light() {
                     narrowest_sigma: 0.6,
                 },
                 indirect: None,
+                stop: None,
             };
             irradiance(&view, &Region::All).dense()
         };

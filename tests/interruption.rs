@@ -184,6 +184,7 @@ fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes(
             "{share:.3}: a manifest, but not all files"
         );
     }
+    println!("tried {} kills", counts.len());
     assert!(
         in_the_midst(&counts) >= 8,
         "too few kills fell into the run: {counts:?}"

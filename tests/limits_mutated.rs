@@ -4,6 +4,7 @@
 
 #[path = "../fuzz/fuzz_targets/harness.rs"]
 mod harness;
+mod program;
 mod random;
 
 use random::Random;
@@ -98,6 +99,60 @@ fn mutated_files_beside_a_scene_are_taken_or_refused() {
     run("poses", 20_000, harness::is_poses);
     run("calibration", 20_000, harness::is_calibration);
     run("png", 5_000, harness::is_image);
+}
+
+#[test]
+fn mutated_files_of_earlier_runs_are_read_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("some.journal");
+    run("journal", 4_000, |bytes| harness::is_journal(&path, bytes));
+    run("shard", 4_000, |bytes| harness::is_shard(&path, bytes));
+    run("manifest", 20_000, harness::is_manifest);
+    run("npy", 20_000, harness::is_npy);
+}
+
+/// A mutated file where a command looks for it, and the exit codes that say that it was read or refused.
+#[test]
+fn mutated_files_end_commands_in_order() {
+    let mut random = Random::new(18);
+    let mut done = 0;
+    for (format, file, mesh) in [
+        ("stl", "part", true),
+        ("ply", "part", true),
+        ("obj", "part", true),
+        ("scene", "scene.toml", false),
+        ("journal", "out/frames.journal", false),
+        ("shard", "out/shards/shard-0-of-1.journal", false),
+        ("manifest", "out/.lasertrace/some.json", false),
+    ] {
+        let text = match mesh {
+            true => program::scene("mesh = { file = \"part\", unit = \"mm\" }"),
+            false => program::scene(program::PLANE),
+        };
+        let command: &[&str] = match format {
+            "journal" => &["scan", "scene.toml", "-o", "out", "--resume", "--force"],
+            "shard" => &["merge", "scene.toml", "-o", "out"],
+            "manifest" => &["scan", "scene.toml", "-o", "out"],
+            _ => &["check", "scene.toml"],
+        };
+        let seeds = seeds(format);
+        for _ in 0..10 {
+            let folder = program::folder_with(&text);
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(&path, mutated(&seeds, &mut random)).unwrap();
+            let (code, _, stderr) = program::run(folder.path(), command);
+            let bytes = || fs::read(&path).map(|bytes| bytes.escape_ascii().to_string());
+            assert!(
+                matches!(code, 0 | 64 | 65 | 74),
+                "{format}: {code} {stderr}\n{:?}",
+                bytes()
+            );
+            assert!(!stderr.contains("panicked"), "{stderr}");
+            done += 1;
+        }
+    }
+    println!("tried {done} files through the command line");
 }
 
 #[test]

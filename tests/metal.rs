@@ -89,6 +89,7 @@ impl Setup {
                 narrowest_sigma: 1.0,
             },
             indirect: None,
+            stop: None,
         };
         let lit = irradiance(&view, &Region::Lit(&clusters)).dense();
         assert!(lit == irradiance(&view, &Region::All).dense());

@@ -126,6 +126,7 @@ fn no_command_writes_to_a_folder_of_others_unless_forced() {
         assert_error(folder.path(), &with(&command, &["-o", "out"]), 64, &words);
         assert!(files(folder.path()) == before, "{command:?}");
     }
+    println!("tried {} folders", commands().len());
 }
 
 /// With `--force` files of the names that are written are replaced, and no others.
@@ -277,6 +278,7 @@ fn killed_runs_go_on_in_their_folder_and_leave_no_unfinished_file() {
             assert!(parts.is_empty(), "{parts:?}");
         }
     }
+    println!("tried 8 kills");
 }
 
 /// Runs commands with scene and output in a folder whose name is not UTF-8, with and without `--json`.

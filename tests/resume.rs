@@ -154,6 +154,7 @@ fn killed_at_48_moments_and_resumed_the_bytes_are_those_of_an_undisturbed_run() 
         finish(folder.path(), &["--resume"]);
         kept += assert_same(folder.path(), &expected, &format!("chain {chain}"));
     }
+    println!("tried {kills} kills");
     assert!(kept > 0, "no frame was ever kept");
 }
 

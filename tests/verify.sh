@@ -159,10 +159,10 @@ LASERTRACE_FUZZ_SECONDS=$seconds
 export LASERTRACE_FUZZ_SECONDS
 # shellcheck disable=SC2086
 try mutated $command
-figure=$(awk '/ mutations, / { n += $2 } END { print n + 0 " mutations of seven kinds of files" }' "$log")
+figure=$(awk '/ mutations, / { n += $2 } END { print n + 0 " mutations of eleven kinds of files" }' "$log")
 row 'mutated files are taken or refused' "$figure" 'no panic' "$met" "LASERTRACE_FUZZ_SECONDS=$seconds $command"
 
-for target in stl ply obj scene poses calibration png; do
+for target in stl ply obj scene poses calibration png npy manifest journal shard; do
     name="fuzzing: $target"
     command="cargo +nightly fuzz run $target fuzz/corpus/$target fuzz/seeds/$target"
     if [ "$page" = "$out/small.md" ]; then
@@ -176,6 +176,28 @@ for target in stl ply obj scene poses calibration png; do
         row "$name" "$(grep -E '^Done [0-9]+ runs' "$log" || echo 'did not end')" 'no finding' "$met" "$command"
     fi
 done
+
+name='advisories, licences and sources of all crates'
+command='cargo deny --locked check'
+if ! cargo deny --version >/dev/null 2>&1; then
+    skip "$name" 'no finding but those of deny.toml' 'no cargo-deny (cargo install cargo-deny)' "$command"
+elif try deny-fetch cargo deny --locked fetch db && [ "$met" = no ]; then
+    skip "$name" 'no finding but those of deny.toml' 'cargo deny cannot get its advisory database' "$command"
+else
+    # shellcheck disable=SC2086
+    try deny $command
+    row "$name" "$(tail -n 1 "$log")" 'no finding but those of deny.toml' "$met" "$command"
+fi
+
+name='hostile input, sensors and faults'
+command='tests/robustness.sh'
+goal='no panic, abort or hang, no file of others touched, no byte of difference; docs/robustness.md'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    try robustness $command
+    row "$name" "$(tail -n 1 "$log")" "$goal" "$met" "$command"
+fi
 
 # A script that takes a form of Mitsuba and prints its figure last: check, goal, form, name of the log, arguments; then
 # what is built

@@ -4,9 +4,12 @@
 #![allow(dead_code)]
 
 use lasertrace::error::Error;
-use lasertrace::math::DVec2;
+use lasertrace::inspect::cloud::CloudPoint;
+use lasertrace::math::{DVec2, DVec3};
 use lasertrace::mesh;
-use lasertrace::profile::{Calibration, PeakFinder};
+use lasertrace::profile::{Calibration, Flags, PeakFinder};
+use lasertrace::report::formats;
+use lasertrace::run::untrusted;
 use lasertrace::scene::{Scene, parse_poses};
 use lasertrace::study::{Channel, LineAlong, parse_image};
 use std::path::Path;
@@ -100,6 +103,118 @@ pub fn is_image(bytes: &[u8]) -> bool {
         }
         Err(error) => refused(&error),
     }
+}
+
+/// Whether bytes, written to `path`, are a scan's journal with points, which then are finite: as they are, and with
+/// checksums that are right.
+pub fn is_journal(path: &Path, bytes: &[u8]) -> bool {
+    [bytes.to_vec(), mended(bytes)].into_iter().any(|bytes| {
+        std::fs::write(path, bytes).unwrap();
+        match untrusted::journal_points(path) {
+            Ok(points) => points.is_some_and(|points| are_finite(&points)),
+            Err(error) => refused(&error),
+        }
+    })
+}
+
+/// The same of a shard's journal.
+pub fn is_shard(path: &Path, bytes: &[u8]) -> bool {
+    [bytes.to_vec(), mended(bytes)].into_iter().any(|bytes| {
+        std::fs::write(path, bytes).unwrap();
+        match untrusted::shard_points(path) {
+            Ok(shard) => shard.is_some_and(|(_, points)| are_finite(&points)),
+            Err(error) => refused(&error),
+        }
+    })
+}
+
+/// Whether there are points; all are finite.
+fn are_finite(points: &[CloudPoint]) -> bool {
+    for point in points {
+        let numbers = [
+            point.deviation,
+            point.sigma,
+            point.repeatability,
+            point.correlation_length,
+            point.scan_correlation_length,
+            point.deviation_sigma,
+            point.intensity,
+            point.row,
+            point.width,
+        ];
+        assert!(point.position.is_finite() && point.normal.is_finite());
+        assert!(numbers.iter().all(|number| number.is_finite()), "{point:?}");
+    }
+    !points.is_empty()
+}
+
+/// A journal whose records have their CRC: without it few changes get past the first check.
+fn mended(bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    let mut at = 0;
+    while let Some(head) = bytes.get(at..at + 8) {
+        let length = u32::from_le_bytes(head[..4].try_into().unwrap()) as usize;
+        let Some(content) = bytes.get(at + 8..(at + 8).saturating_add(length)) else {
+            break;
+        };
+        let sum = crc32fast::hash(content).to_le_bytes();
+        bytes[at + 4..at + 8].copy_from_slice(&sum);
+        at += 8 + length;
+    }
+    bytes
+}
+
+/// Whether bytes are a list of an output folder, or the index of a tar file.
+pub fn is_manifest(bytes: &[u8]) -> bool {
+    for file in ["cloud.ply", "frames/frame-000001.png", "cloud.ply.part", ""] {
+        untrusted::list_names(bytes, file);
+    }
+    untrusted::list_names(bytes, "summary.json").is_some() || untrusted::is_tar_index(bytes)
+}
+
+/// Whether bytes have a point's numbers, of which an NPY file is then written that has them, whatever they are.
+pub fn is_npy(bytes: &[u8]) -> bool {
+    const NUMBERS: usize = 13;
+    let points: Vec<CloudPoint> = bytes
+        .chunks_exact(8 * NUMBERS)
+        .map(|bytes| {
+            let numbers: Vec<f64> = (bytes.chunks_exact(8))
+                .map(|number| f64::from_le_bytes(number.try_into().unwrap()))
+                .collect();
+            CloudPoint {
+                position: DVec3::new(numbers[0], numbers[1], numbers[2]),
+                deviation: numbers[3],
+                sigma: numbers[4],
+                repeatability: numbers[5],
+                correlation_length: numbers[6],
+                scan_correlation_length: numbers[7],
+                deviation_sigma: numbers[8],
+                intensity: numbers[9],
+                frame: numbers[10] as u32,
+                column: numbers[10] as u32,
+                row: numbers[11],
+                width: numbers[12],
+                flags: Flags::empty(),
+                normal: DVec3::Z.as_vec3(),
+                direct: 1.0,
+            }
+        })
+        .collect();
+    let mut npy = Vec::new();
+    formats::npy(&mut npy, &points).unwrap();
+    // NumPy's format 1.0: magic, length of the header, header.
+    assert_eq!(&npy[..8], b"\x93NUMPY\x01\x00");
+    let header = usize::from(u16::from_le_bytes([npy[8], npy[9]]));
+    let (head, values) = npy[10..].split_at(header);
+    assert_eq!((10 + header) % 64, 0);
+    let shape = format!("'shape': ({},)", points.len());
+    assert!(std::str::from_utf8(head).unwrap().contains(&shape));
+    assert_eq!(values.len(), 106 * points.len());
+    for (point, bytes) in points.iter().zip(values.chunks_exact(106)) {
+        // Row, after frame and column.
+        assert_eq!(bytes[8..16], point.row.to_le_bytes());
+    }
+    !points.is_empty()
 }
 
 /// False; the error is of the input, in one line that says what was expected.

@@ -37,7 +37,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<()> {
         stop: &STOP,
     };
     let acceptance = Acceptance::of(sensor, *seed, &before)?;
-    let bar = output.progress(acceptance.steps(*seeds), "places and seeds");
+    let bar = output.progress(acceptance.steps(*seeds), "profiles");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: None,

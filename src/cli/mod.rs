@@ -42,6 +42,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
@@ -219,7 +221,7 @@ struct Output {
 impl Output {
     /// A progress bar on stderr if that is a terminal.
     fn progress(&self, steps: u64, of: &str) -> ProgressBar {
-        let bar = self.bar(steps, &format!("{{pos}}/{{len}} {of}, {{eta}} left"));
+        let bar = self.bar(steps, of, &format!("{{pos}}/{{len}} {of}, {{eta}} left"));
         #[cfg(feature = "service")]
         job::follow(&bar, of);
         bar
@@ -227,16 +229,25 @@ impl Output {
 
     /// The same for a share of something, to be given to `show`.
     fn share(&self, of: &str) -> ProgressBar {
-        let bar = self.bar(1000, &format!("{{percent}} % {of}, {{eta}} left"));
+        let thousandths = format!("thousandths {of}");
+        let bar = self.bar(
+            1000,
+            &thousandths,
+            &format!("{{percent}} % {of}, {{eta}} left"),
+        );
         #[cfg(feature = "service")]
-        job::follow(&bar, &format!("thousandths {of}"));
+        job::follow(&bar, &thousandths);
         bar
     }
 
-    fn bar(&self, steps: u64, text: &str) -> ProgressBar {
+    fn bar(&self, steps: u64, of: &str, text: &str) -> ProgressBar {
         let bar = ProgressBar::new(steps);
-        if self.quiet || !std::io::stderr().is_terminal() {
+        let terminal = std::io::stderr().is_terminal();
+        if self.quiet || !terminal {
             bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        if !(self.quiet || self.json || terminal) {
+            say_now_and_then(&bar, of);
         }
         let style = ProgressStyle::with_template(&format!("{{bar:40}} {text}"));
         bar.with_style(style.expect("the template is valid"))
@@ -262,6 +273,31 @@ impl Output {
             result => result.map_err(Error::io("write to", "stdout".as_ref())),
         }
     }
+}
+
+/// Time between two lines of [`say_now_and_then`].
+const SAID_EVERY: Duration = Duration::from_secs(30);
+
+/// Prints the position of a bar until it is finished, for logs.
+fn say_now_and_then(bar: &ProgressBar, of: &str) {
+    let (bar, of) = (bar.downgrade(), of.to_owned());
+    let lines = move || {
+        loop {
+            thread::sleep(SAID_EVERY);
+            let Some(bar) = bar.upgrade().filter(|bar| !bar.is_finished()) else {
+                return;
+            };
+            say(&format!(
+                "{} of {} {of}",
+                bar.position(),
+                bar.length().unwrap_or(0)
+            ));
+        }
+    };
+    // Without a thread to spare it goes on silently.
+    let _ = thread::Builder::new()
+        .name("progress".to_owned())
+        .spawn(lines);
 }
 
 /// Draws a share from 0 to 1; at 1 the bar goes.

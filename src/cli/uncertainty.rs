@@ -73,7 +73,7 @@ fn of_frame(arguments: &Arguments, output: &Output) -> Result<()> {
 }
 
 fn over_range(scene: Scene, arguments: &Arguments, target: &str, output: &Output) -> Result<()> {
-    let bar = output.progress(study::SHEET_STEPS, "distances");
+    let bar = output.progress(study::SHEET_STEPS, "images");
     let control = Control {
         progress: &|done| bar.set_position(done),
         building: None,

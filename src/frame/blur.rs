@@ -66,7 +66,10 @@ pub fn blur(light: Light, view: &View, region: &Region) -> Light {
 /// The mean of the light behind the lens over each pixel.
 fn mean_behind(mut light: Light, view: &View, tiles: &[Tile], rows: Rows, beyond: usize) -> Light {
     let means = |light: &Light| {
-        let spread = |tile: &Tile| [tile.spread(light)];
+        let spread = |tile: &Tile| {
+            view.unwind_if_stopped();
+            [tile.spread(light)]
+        };
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         let mut means = vec![0.0; rows.total()];
         sum_of(tiles, &parts, &rows, &mut means, |sums, mean| {
@@ -127,7 +130,10 @@ fn field_behind(
             let power = power(pattern, polarised.copied().unwrap_or(0.0));
             amplitude * wider * power.sqrt()
         };
-        let spread = |tile: &Tile| tile.spread_field(light, &images, field);
+        let spread = |tile: &Tile| {
+            view.unwind_if_stopped();
+            tile.spread_field(light, &images, field)
+        };
         let parts: Vec<_> = tiles.par_iter().map(spread).collect();
         sum_of(tiles, &parts, &rows, &mut irradiance, |sums, values| {
             for (value, sum) in values.iter_mut().zip(sums) {

@@ -62,6 +62,7 @@ fn over_a_step(step: f64, camera: &Camera, blur: Blur, then: impl FnOnce(&View, 
             narrowest_sigma: 2.0,
         },
         indirect: None,
+        stop: None,
     };
     then(&view, &clusters);
 }

@@ -51,9 +51,15 @@ pub fn expose(light: Light, view: &View) -> Irradiance {
         if view.lens.blur == Blur::Mean {
             let nodes = Nodes::new(view.grid);
             let spread = Spread { faint, nodes };
-            tasks.for_each(|(task, values)| spread.expose(task, values));
+            tasks.for_each(|(task, values)| {
+                view.unwind_if_stopped();
+                spread.expose(task, values);
+            });
         } else {
-            tasks.for_each(|(task, values)| expose_samples(&faint, task, values));
+            tasks.for_each(|(task, values)| {
+                view.unwind_if_stopped();
+                expose_samples(&faint, task, values);
+            });
         }
     }
     Irradiance::new(light.rows, values)

@@ -41,6 +41,7 @@ fn seen(mesh: &Mesh, waist_radius: f64, fan: Option<Fan>) -> Pixels {
         cutoff_radii: crate::laser::CUTOFF_RADII,
         lens: LensBlur::NONE,
         indirect: None,
+        stop: None,
     };
     footprint(&view, &Region::Lit(&Clusters::new(mesh)))
 }

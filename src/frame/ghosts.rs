@@ -583,6 +583,7 @@ impl Tracer<'_> {
     }
 
     fn laser_paths(&self, indices: Range<u32>, sequence: &Sequence, splats: &mut Vec<Splat>) {
+        self.view.unwind_if_stopped();
         let (paths, numbers) = self.walked(indices, sequence);
         let mut between = Vec::new();
         for (path, numbers) in paths.iter().zip(&numbers) {
@@ -632,6 +633,7 @@ impl Tracer<'_> {
 
     /// Up to a packet of paths from the camera, by their numbers.
     fn camera_paths(&self, paths: Range<u32>, key: Key, splats: &mut Vec<Splat>) {
+        self.view.unwind_if_stopped();
         let blocks: Vec<(usize, u32)> = paths.map(|path| self.blocks.of_path(path)).collect();
         // The paths of a square lie evenly in it.
         let sequence = |&(block, _): &(usize, u32)| Sequence::new(key.with(block as u64));

@@ -93,6 +93,7 @@ impl Setup {
             cutoff_radii: CUTOFF_RADII,
             lens: LensBlur::NONE,
             indirect: None,
+            stop: None,
         }
     }
 

@@ -310,6 +310,7 @@ impl Frame<'_> {
             (Sampling::Planes, _) => 1,
             (Sampling::Rays, _) => {
                 for row in self.rows_of(task.first_band) {
+                    self.rays.view.unwind_if_stopped();
                     for (column, number) in pixels.of(row).zip(self.rows.start(row)..) {
                         let centre = middle(column, row);
                         self.sampled(&[Pixel { centre, number }], 1, &mut task);
@@ -321,6 +322,7 @@ impl Frame<'_> {
         let bands = self.bands_of(task.first_band);
         let mut next = bands.start.saturating_sub(around);
         for band in bands {
+            self.rays.view.unwind_if_stopped();
             while next <= band + around && next < pixels.bands() {
                 let tiles = pixels.tiles(next, around);
                 window.fill(next, tiles, |first, tile| {
@@ -649,6 +651,7 @@ mod tests {
             cutoff_radii,
             lens: LensBlur::NONE,
             indirect: None,
+            stop: None,
         });
     }
 

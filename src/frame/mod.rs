@@ -66,6 +66,8 @@ use crate::laser::Laser;
 use crate::math::Rigid;
 use crate::math::rng::Key;
 use crate::surface::Surfaces;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Everything one pose of the sensor depends on, in the part's frame.
 #[derive(Clone)]
@@ -95,6 +97,30 @@ pub struct View<'a> {
     pub lens: LensBlur,
     /// `None`: light is reflected once.
     pub indirect: Option<Indirect>,
+    /// Ends the stages when it is set, from any thread; `None`: they always run to their end.
+    pub stop: Option<&'a AtomicBool>,
+}
+
+/// The payload of the unwinding that ends a frame whose `stop` is set.
+struct Stopped;
+
+impl View<'_> {
+    /// Unwinds once `stop` is set, up to [`unless_stopped`]. A stage has nothing to return for light that was not
+    /// traced, and rayon carries the unwinding from its threads to the caller.
+    fn unwind_if_stopped(&self) {
+        if self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
+            resume_unwind(Box::new(Stopped));
+        }
+    }
+}
+
+/// Returns the result of `work`; `None` where it traced a view whose `stop` was set.
+pub fn unless_stopped<T>(work: impl FnOnce() -> T) -> Option<T> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(done) => Some(done),
+        Err(why) if why.is::<Stopped>() => None,
+        Err(why) => resume_unwind(why),
+    }
 }
 
 /// The image that the sensor takes, drawn near its light: the mean of the light over the `views` of one exposure

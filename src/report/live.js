@@ -2,10 +2,10 @@
   const byId = (id) => document.getElementById(id);
   const view = viewer(byId("viewer"), JSON.parse(byId("viewer-data").textContent));
   const picture = byId("picture"), image = byId("image"), line = byId("line"), status = byId("status");
-  const STEPS = 2000, REST_MS = 400, AGAIN_MS = 1000;
+  const STEPS = 2000, REST_MS = 400, AGAIN_MS = 1000, SLOW_MS = 1000;
 
   // The newest values have the number `wanted`; what is drawn, `drawn`.
-  let wanted = 1, drawn = 0, asking = false, last = null, resting, head;
+  let wanted = 1, drawn = 0, asking = false, making = null, last = null, resting, head;
   const number = (value) => String(Number(value.toPrecision(6)));
 
   // Values: a slider and a field each; what is not touched stays the scene's. The page starts with a frame in mid scan.
@@ -117,19 +117,25 @@
       const slider = sliders.find(({ key }) => key === error.refused.key);
       if (slider) slider.wrong(error.message);
       say(`No picture of these values: ${slider ? slider.key + ": " : ""}${error.message}`, "wrong");
-      return error.refused.message.startsWith("too many");
+      return /^(too many|a newer draft)/.test(error.refused.message);
     }
     say("lasertrace does not answer; is it still running? The picture is of values before. Asking again.", "wrong");
     return true;
   };
 
   // Drafts: one request at a time, always of the newest values, so that none waits for another. While one is
-  // drawn the next is made.
-  const ask = () => ({
-    number: wanted,
-    start: performance.now(),
-    answer: get("draft", asked()).then((answer) => answer.arrayBuffer()),
-  });
+  // drawn the next is made. One that takes longer than SLOW_MS gives way to newer values; before that it would never
+  // be seen while a slider is dragged.
+  const ask = () => {
+    const own = new AbortController();
+    const answer = get("draft", asked(), own.signal).then((answer) => answer.arrayBuffer());
+    return (making = { number: wanted, start: performance.now(), own, answer });
+  };
+  const giveWay = () => {
+    if (!making) return;
+    const { number, start, own } = making;
+    setTimeout(() => number < wanted && own.abort(), Math.max(0, start + SLOW_MS - performance.now()));
+  };
   const pump = async () => {
     if (asking) return;
     asking = true;
@@ -160,6 +166,7 @@
     byId("check").classList.add("waiting");
     for (const link of [byId("save"), byId("png")]) link.removeAttribute("href");
     rest(REST_MS);
+    giveWay();
     pump();
   };
 

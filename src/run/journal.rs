@@ -95,6 +95,7 @@ impl Record for FrameRecord {
                 point.sigma,
                 point.repeatability,
                 point.correlation_length,
+                point.scan_correlation_length,
                 point.deviation_sigma,
                 point.intensity,
                 point.row,
@@ -513,7 +514,7 @@ mod tests {
     /// With a checksum that is right, numbers that no run writes.
     #[test]
     fn records_of_numbers_that_are_not_finite_are_not_kept() {
-        let changes: [fn(&mut CloudPoint, f64); 13] = [
+        let changes: [fn(&mut CloudPoint, f64); 14] = [
             |point, x| point.position.x = x,
             |point, x| point.position.y = x,
             |point, x| point.position.z = x,
@@ -521,6 +522,7 @@ mod tests {
             |point, x| point.sigma = x,
             |point, x| point.repeatability = x,
             |point, x| point.correlation_length = x,
+            |point, x| point.scan_correlation_length = x,
             |point, x| point.deviation_sigma = x,
             |point, x| point.intensity = x,
             |point, x| point.row = x,

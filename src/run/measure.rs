@@ -14,7 +14,7 @@ use crate::inspect::sight_lines::compare_lines_of_sight;
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
 use crate::profile::{
     Flags, FrameStep, Peak, PeakSettings, PointJacobian, RowError, compare_neighbours, find_peaks,
-    sum_of_both_sides, weigh,
+    least_height, sum_of_both_sides, weigh,
 };
 use crate::scene::Scene;
 use crate::speckle::theory::AIRY_SIGMA;
@@ -144,7 +144,13 @@ impl Simulation {
         let line = sheet.profile(&self.view_of(pose));
         let mut peaks: Vec<Peak> = line.iter().map(|point| self.ideal_peak(point)).collect();
         let settings = self.peak_settings();
-        let columns = self.scene.camera.sensor.resolution.x as usize;
+        let resolution = self.scene.camera.sensor.resolution.as_usizevec2();
+        let columns = resolution.x;
+        // A line that noise and rounding hide in an image has neither a row nor an uncertainty.
+        peaks.retain(|peak| {
+            let least = || least_height(resolution.element_product(), peak.noise);
+            peak.height > 0.0 && peak.height >= settings.threshold.unwrap_or_else(least)
+        });
         compare_neighbours(&mut peaks, columns, &settings);
         let errors = self.errors.row_errors(&peaks, columns);
         weigh(&mut peaks, &errors);

@@ -21,7 +21,7 @@ mod journal;
 mod lit_normal;
 pub(crate) mod measure;
 pub(crate) mod methods;
-mod need;
+pub(crate) mod need;
 pub(crate) mod output_folder;
 mod passes;
 pub(crate) mod pilot;
@@ -38,13 +38,15 @@ mod scan;
 pub(crate) mod scan_speckle;
 mod search;
 mod sensor_drawing;
-mod sensor_figures;
+pub(crate) mod sensor_figures;
 mod shards;
 pub(crate) mod simulation;
 mod summary;
 pub(crate) mod surface_view;
 mod survey;
 mod sweep;
+#[doc(hidden)]
+pub mod untrusted;
 mod warnings;
 
 pub use assessment::{Assessment, LightFractions, Loss, PassGap, PathFigures, SurfaceFractions};

@@ -1,6 +1,6 @@
 //! What cannot but run out of memory, by arithmetic.
 
-use crate::error::Result;
+use crate::error::{InputError, Place, Result};
 use crate::inspect::coverage::HeadPose;
 use crate::mesh::memory;
 use crate::scene::Scene;
@@ -40,6 +40,28 @@ fn sensor(scene: &Scene) -> String {
 pub(crate) fn require_images(scene: &Scene, count: u64) -> Result<()> {
     let work = format!("{count} images {} at once", sensor(scene));
     memory::require(work, images(scene, count), memory::available())
+}
+
+/// Most pixels of a sensor whose images a study takes by the hundred.
+const STUDIED_PIXELS: u64 = 1 << 26;
+
+/// Refuses sensors of which hundreds of images take hours.
+pub(crate) fn require_study(scene: &Scene) -> Result<()> {
+    let found = pixels(scene);
+    if found <= STUDIED_PIXELS {
+        return Ok(());
+    }
+    let mut mistake = InputError::new(
+        &scene.path,
+        Place::File,
+        format!("a sensor {}, {found} in all", sensor(scene)),
+        format!(
+            "at most {STUDIED_PIXELS} pixels, as this command takes hundreds of images: read fewer rows \
+             (camera.read_rows) or bin pixels (camera.binning)"
+        ),
+    );
+    mistake.key = Some("camera.resolution_px".to_owned());
+    Err(mistake.into())
 }
 
 /// The same of a whole scan: its images, if it takes any, and the poses of its report.

@@ -77,7 +77,7 @@ impl Names {
     }
 
     /// Returns whether this is one of the names, or the name of one of these files while it is unfinished.
-    fn has_part(&self, name: &str) -> bool {
+    pub(super) fn has_part(&self, name: &str) -> bool {
         self.has(name) || whole_name(name).is_some_and(|name| self.has(name))
     }
 

@@ -12,6 +12,15 @@ use std::f64::consts::FRAC_PI_2;
 /// Places over the measuring range, from its near to its far end.
 const PLACES: usize = 9;
 
+/// Furthest end of a measuring range in which studies place targets, mm: ten kilometres. A camera that looks along the
+/// beam sees its light without end.
+pub(crate) const FURTHEST_MM: f64 = 1e7;
+
+/// States what a study expects of a measuring range.
+pub(crate) fn range_that_ends() -> String {
+    format!("at most {FURTHEST_MM:e} mm: turn the camera towards the beam, or read fewer rows")
+}
+
 /// What a data sheet of the sensor says.
 #[derive(Debug, Clone, Serialize)]
 pub struct SensorFigures {
@@ -239,7 +248,8 @@ impl Sensor<'_> {
         let place = DVec3::Z * distance;
         let camera = &self.scene.camera;
         let radius = self.scene.laser.beam.radius(distance);
-        let step = 1e-4 * distance;
+        // The scale changes with the distance from the camera; that from the laser may be far longer.
+        let step = 1e-4 * self.camera_from_laser.point(place).length();
         let per_mm = |direction: DVec3| {
             let [low, high] = [-step, step].map(|by| self.pixel(place + direction * by));
             Some((high? - low?).length() / (2.0 * step))
@@ -249,10 +259,14 @@ impl Sensor<'_> {
         let line =
             self.pixel(place + DVec3::Y * radius)? - self.pixel(place - DVec3::Y * radius)?;
         let blur = camera.defocus_blur(self.camera_from_laser.point(place))?;
+        let um_per_px = [1e3 / per_mm(DVec3::X)?, 1e3 / per_mm(DVec3::Z)?];
+        if !DVec2::from(um_per_px).is_finite() {
+            return None;
+        }
         Some(SensorPlace {
             distance_mm: distance,
             field_mm: [-1.0, 1.0].map(end),
-            um_per_px: [1e3 / per_mm(DVec3::X)?, 1e3 / per_mm(DVec3::Z)?],
+            um_per_px,
             line_um: 2e3 * radius,
             line_px: line.length(),
             blur_px: blur / camera.sensor.pixel_pitch,

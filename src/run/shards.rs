@@ -27,9 +27,9 @@ pub struct Shard {
 
 /// What the first record of a shard's journal says.
 #[derive(Serialize, Deserialize)]
-struct ShardKey {
+pub(super) struct ShardKey {
     #[serde(flatten)]
-    shard: Shard,
+    pub(super) shard: Shard,
     run: RunKey,
 }
 

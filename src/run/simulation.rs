@@ -20,6 +20,7 @@ use crate::profile::{Calibration, ErrorModel, FrameStep, Peak};
 use crate::scene::{Scene, SpeckleModel};
 use crate::speckle::lookup::Method;
 use std::ops::Range;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 /// A frame and where the head is in the middle of it: computed once, and handed on.
@@ -53,6 +54,8 @@ pub struct Simulation {
     pub(crate) scan_steps: OnceLock<(Vec<FrameStep>, f64)>,
     /// `None`: profiles come from images.
     pub(crate) sheet: Option<Sheet>,
+    /// Ends frames that nobody waits for; see [`frame::unless_stopped`].
+    pub(super) stop: Option<Arc<AtomicBool>>,
 }
 
 impl Simulation {
@@ -90,6 +93,7 @@ impl Simulation {
             column_correlation: self.column_correlation.clone(),
             scan_steps: self.scan_steps.clone(),
             sheet: sheet(&scene, &plan),
+            stop: self.stop.clone(),
             scene,
             plan,
         })
@@ -138,6 +142,7 @@ impl Simulation {
             column_correlation: OnceLock::new(),
             scan_steps: OnceLock::new(),
             sheet: sheet(scene, &plan),
+            stop: None,
             plan,
         }
     }
@@ -183,6 +188,7 @@ impl Simulation {
             indirect: self.indirect(place),
             sampling: self.plan.sampling,
             cutoff_radii: self.plan.cutoff_radii,
+            stop: self.stop.as_deref(),
         }
     }
 

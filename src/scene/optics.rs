@@ -282,6 +282,7 @@ impl Resolver<'_> {
             black_level_dn: self.not_negative(table.black_level_dn, "black_level_dn")?,
             noise: self.noise(table)?,
         };
+        self.shows_light(&sensor)?;
         let sensor = self.binned(sensor, table)?;
         let full = (sensor.full_scale() - sensor.black_level_dn) * sensor.longest_over_shortest()
             + sensor.black_level_dn;
@@ -290,6 +291,24 @@ impl Resolver<'_> {
         );
         self.check(full < 65_536.0, "camera.exposures_ms", &expected)?;
         Ok(sensor)
+    }
+
+    /// Refuses a sensor whose full pixels have the counts of dark ones: no image of it shows light.
+    fn shows_light(&self, sensor: &Sensor) -> Result<()> {
+        let highest = f64::from(2u32.pow(sensor.bit_depth) - 1);
+        let expected = format!("a level below the highest count, {highest}");
+        let below = sensor.black_level_dn + 0.5 < highest;
+        self.check(below, "camera.black_level_dn", &expected)?;
+        let expected = format!(
+            "a gain by which {:?} e, the full well, are at least 1 count",
+            sensor.full_well_e
+        );
+        let dark = (sensor.black_level_dn + 0.5).floor();
+        self.check(
+            sensor.full_scale() > dark,
+            "camera.gain_dn_per_e",
+            &expected,
+        )
     }
 
     /// From the longest to the shortest; none where one is given, or left to the light.

@@ -6,13 +6,14 @@ use crate::camera::Sensor;
 use crate::error::{Error, InputError, Place, Result, printable};
 use crate::math::rng::{Key, Purpose};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::mesh::shapes;
+use crate::mesh::{Mesh, shapes};
 use crate::profile::{
     Adjustment, Calibration, Dot, LinePoint, Observations, PARAMETERS, Parameters, Peak, adjust,
     find_peaks,
 };
 use crate::report::residual_picture::residual_picture;
 use crate::run::error_model::perfect_calibration;
+use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, files};
@@ -99,12 +100,14 @@ pub fn calibrate<'a>(
     out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<CalibrationSummary> {
+    require_study(&scene)?;
     scene.tolerance_um = None; // it was stated for the part
     let truth = perfect_calibration(&scene);
     let key = Key::new(scene.seed, Purpose::Calibration);
+    let path = scene.path.clone();
     let impossible = |expected: &str| -> Error {
         let found = "a sensor that cannot be calibrated";
-        InputError::new(&scene.path, Place::File, found, expected).into()
+        InputError::new(&path, Place::File, found, expected).into()
     };
     let targets = targets(&truth).map_err(|e| impossible(&e))?;
     let dot_sigma_px = dot_sigma(&scene.camera.sensor);
@@ -116,15 +119,13 @@ pub fn calibrate<'a>(
             .dots
             .extend(dots(&truth, target, width, dot_sigma_px, key));
     }
-    let path = scene.path.clone();
     let names = ["summary.json", "calibration.json", "residuals.svg"];
     let folder = out.into().claim(&scene.inputs, &Names::of(names))?;
     let [summary_file, calibration, picture] = names.map(|name| folder.path.join(name));
     for name in names {
         folder.remove(name)?;
     }
-    let plane = shapes::plane(DVec2::splat(4.0 * width));
-    scene.mesh = Arc::new(plane.expect("a field has a width"));
+    scene.mesh = Arc::new(board(width).map_err(|expected| impossible(&expected))?);
     scene.copies = [Rigid::IDENTITY].into();
     (scene.calibration, scene.scan) = (None, ScanPath::at_rest());
     for (i, target) in targets.iter().enumerate() {
@@ -132,7 +133,7 @@ pub fn calibrate<'a>(
         scene.part_at_rest = *target;
         // Other grains and noise in each view.
         scene.seed = key.with(i as u64).bits(0);
-        observations.line.extend(line(&scene, target)?);
+        observations.line.extend(line(&scene, target, control)?);
         (control.progress)(1 + i as u64);
     }
     let adjustment = adjust(&assembled(&truth, key), &observations).map_err(|reason| {
@@ -197,6 +198,16 @@ fn targets(nominal: &Calibration) -> std::result::Result<Vec<Rigid>, String> {
         .map_err(str::to_owned)
 }
 
+/// The target, for a field of this width.
+fn board(width: f64) -> std::result::Result<Mesh, String> {
+    shapes::plane(DVec2::splat(4.0 * width)).map_err(|wrong| {
+        let expected = wrong.expected;
+        format!(
+            "a camera whose field at the laser plane, a quarter of the target's side, is {expected}"
+        )
+    })
+}
+
 /// Widest view of the camera across a target, mm.
 fn field_width(nominal: &Calibration, targets: &[Rigid]) -> f64 {
     let camera = &nominal.camera;
@@ -251,9 +262,9 @@ fn dots(truth: &Calibration, target: &Rigid, width: f64, sigma_px: f64, key: Key
 }
 
 /// The laser line on the target, by the sensor's own image and peaks.
-fn line(scene: &Scene, target: &Rigid) -> Result<Vec<LinePoint>> {
-    let simulation = Simulation::new(scene)?;
-    let counts = simulation.counts(0, &simulation.irradiance(0));
+fn line(scene: &Scene, target: &Rigid, control: &Control) -> Result<Vec<LinePoint>> {
+    let simulation = Simulation::watched(scene, control)?;
+    let counts = simulation.counts_near_light(0, &simulation.irradiance(0));
     let resolution = scene.camera.sensor.resolution;
     let mut peaks = find_peaks(&counts, &simulation.peak_settings());
     let plan = &simulation.plan;

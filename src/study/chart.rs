@@ -9,6 +9,7 @@ use crate::profile::{Calibration, Peak, PeakFinder};
 use crate::report::accuracy_chart::{AccuracyChart, Mark};
 use crate::report::chart::short;
 use crate::run::height_errors::{HeightErrors, at_share};
+use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::pilot::spread_frames;
 use crate::run::ready;
@@ -129,6 +130,7 @@ pub fn chart<'a>(
     control: &Control,
 ) -> Result<Chart> {
     beside.map_or(Ok(()), |beside| beside.check(scene))?;
+    require_study(scene)?;
     let mut inputs = scene.inputs.to_vec();
     inputs.extend(beside.iter().flat_map(|beside| beside.inputs.clone()));
     let names = Names::of(["chart.svg", "chart.json"]);

@@ -2,18 +2,22 @@
 
 use crate::error::{Error, Result, printable};
 use crate::math::{DMat3, DVec2, DVec3, Rigid};
-use crate::mesh::{Mesh, shapes};
+use crate::mesh::Mesh;
+use crate::mesh::shapes::{self, WrongSize};
 use crate::profile::{Peak, RowError, sum_of_both_sides};
 use crate::report::chart::short;
 use crate::report::sheet_plot::{PlottedPlace, sheet_plot};
+use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::ready::hierarchy_watched;
+use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::{Control, SensorFigures, Simulation, files};
 use crate::scene::{Motion, Moves, ScanPath, Scene};
 use crate::speckle::theory::centroid_noise;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Distances from the laser.
 const PLACES: usize = 9;
@@ -97,6 +101,7 @@ pub fn sheet<'a>(
     out: impl Into<OutputFolder<'a>>,
     control: &Control,
 ) -> Result<SheetSummary> {
+    require_study(&scene)?;
     // What scatters must not be left out.
     scene.tolerance_um = None;
     let names = Names::of(["sheet.json", "sheet.svg"]);
@@ -105,15 +110,25 @@ pub fn sheet<'a>(
         let (scene, accel) = hierarchy_watched(&scene, control)?;
         SensorFigures::of_sensor(&scene, &accel)
     };
-    let figures = figures.ok_or_else(|| {
-        let path = scene.path.display();
+    let no_range = |why: String| {
+        let path = printable::path(&scene.path);
         Error::Usage(format!(
-            "{path}: the camera sees nothing of the laser's light, wherever it falls, so there is no \
-             range to measure; `lasertrace check` says where both look"
+            "{path}: {why}; `lasertrace check` says where laser and camera look"
         ))
+    };
+    let figures = figures.ok_or_else(|| {
+        let nothing = "the camera sees nothing of the laser's light, wherever it falls, so there is no range to measure";
+        no_range(nothing.to_owned())
     })?;
     let [near, far] = figures.ends();
+    if far > FURTHEST_MM {
+        let expected = range_that_ends();
+        return Err(no_range(format!(
+            "found a measuring range up to {far:.3e} mm from the laser, expected {expected}"
+        )));
+    }
     let ends = [near + ENDS * (far - near), far - ENDS * (far - near)];
+    let done = AtomicU64::new(0);
     let mut places = Vec::new();
     for i in 0..PLACES {
         let share = i as f64 / (PLACES - 1) as f64;
@@ -124,10 +139,16 @@ pub fn sheet<'a>(
                 distance,
                 size: 8.0 * far,
                 um_per_px,
+                done: &done,
             };
             places.push(target.measured(control)?);
         }
-        (control.progress)(i as u64 + 1);
+        done.store((i as u64 + 1) * STEPS, Relaxed);
+        (control.progress)((i as u64 + 1) * STEPS);
+    }
+    if places.is_empty() {
+        let why = "the camera sees light beside the middle of the laser's beam only, and heights are measured in it";
+        return Err(no_range(why.to_owned()));
     }
     let means = places
         .iter()
@@ -150,8 +171,11 @@ pub fn sheet<'a>(
     Ok(summary)
 }
 
-/// Number of steps of which [`sheet`] tells its progress.
-pub const SHEET_STEPS: u64 = PLACES as u64;
+/// Images at one distance.
+const STEPS: u64 = (FRAMES + IMAGES + EDGES) as u64;
+
+/// Images of which [`sheet`] reports its progress.
+pub const SHEET_STEPS: u64 = PLACES as u64 * STEPS;
 
 /// What stands before the sensor.
 struct Target<'a> {
@@ -161,6 +185,8 @@ struct Target<'a> {
     size: f64,
     /// There.
     um_per_px: [f64; 2],
+    /// Images taken of all targets.
+    done: &'a AtomicU64,
 }
 
 impl Target<'_> {
@@ -187,17 +213,23 @@ impl Target<'_> {
         scene
     }
 
+    /// Counts an image. Errors: the work is to end.
+    fn taken(&self, control: &Control) -> Result<()> {
+        (control.progress)(self.done.fetch_add(1, Relaxed) + 1);
+        control.check()
+    }
+
     fn measured(&self, control: &Control) -> Result<SheetPlace> {
         let radius = self.scene.laser.beam.radius(self.distance);
-        let plane = shapes::plane(DVec2::splat(self.size)).expect("a size above 0");
+        let plane = shapes::plane(DVec2::splat(self.size)).map_err(|e| self.no_target(&e))?;
         let scene = self.scene(plane, 0.0, DVec3::Y * (APART * radius), FRAMES);
         let simulation = Simulation::watched(&scene, control)?;
         let sensor = Heights::of(&simulation);
-        let still = self.repeated(&simulation, &sensor);
+        let still = self.repeated(&simulation, &sensor, control)?;
         let mut frames = Vec::new();
         for frame in 0..FRAMES {
-            control.check()?;
-            frames.push(sensor.points(&simulation, &simulation.image(frame)));
+            frames.push(sensor.points(&simulation, &simulation.image_of(&simulation.pose(frame))));
+            self.taken(control)?;
         }
         let points: Vec<Height> = frames.iter().flatten().copied().collect();
         let n = points.len() as f64;
@@ -257,13 +289,19 @@ impl Target<'_> {
     }
 
     /// The scatter of a column about its mean over images of one place, of all columns that all images have.
-    fn repeated(&self, simulation: &Simulation, sensor: &Heights) -> Option<Figure> {
+    fn repeated(
+        &self,
+        simulation: &Simulation,
+        sensor: &Heights,
+        control: &Control,
+    ) -> Result<Option<Figure>> {
         let light = simulation.irradiance(0);
         let mut by_column = vec![Vec::new(); simulation.scene.camera.sensor.resolution.x as usize];
         for image in 0..IMAGES {
             for point in sensor.points(simulation, &simulation.counts_near_light(image, &light)) {
                 by_column[point.column as usize].push(point);
             }
+            self.taken(control)?;
         }
         let whole = || {
             by_column
@@ -278,10 +316,23 @@ impl Target<'_> {
             predicted += points.iter().map(|p| p.noise.powi(2)).sum::<f64>() / n;
             columns += 1.0;
         }
-        (columns > 0.0).then(|| Figure {
+        Ok((columns > 0.0).then(|| Figure {
             found_um: 1e3 * f64::sqrt(found / columns),
             predicted_um: 1e3 * f64::sqrt(predicted / columns),
-        })
+        }))
+    }
+
+    /// A target that cannot be made.
+    fn no_target(&self, wrong: &WrongSize) -> Error {
+        Error::Usage(format!(
+            "{}: the target at {:.4} mm from the laser, where a pixel is {:.4} µm of height: its {} is not {}; move the \
+             camera so that it sees a shorter range",
+            printable::path(&self.scene.path),
+            self.distance,
+            self.um_per_px[1],
+            wrong.argument,
+            wrong.expected
+        ))
     }
 
     /// Width of the response to a low step across the line: mean over [`EDGES`] positions of the step
@@ -293,7 +344,7 @@ impl Target<'_> {
         let step = STEP * simulation.plan.line_half_width_px / 2.0 * row;
         let height = self.size.max(4.0 * step);
         let size = DVec3::new(self.size, self.size, height);
-        let block = shapes::step_block(size, step).expect("a step lower than its block");
+        let block = shapes::step_block(size, step).map_err(|e| self.no_target(&e))?;
         let by = DVec3::X * (column / f64::from(EDGES));
         let mut scene = self.scene(block, height, by, EDGES);
         scene.speckle = None;
@@ -305,15 +356,15 @@ impl Target<'_> {
         let share = |z: f64| (self.distance + step - z) / step;
         let mut widths = Vec::new();
         for frame in 0..EDGES {
-            control.check()?;
             let at = (f64::from(frame) - f64::from(EDGES - 1) / 2.0) * by.x;
-            let points = sensor.all_points(&edges, &edges.image(frame));
+            let points = sensor.all_points(&edges, &edges.image_of(&edges.pose(frame)));
             let response = points.iter().map(|p| (p.x - at, share(p.z)));
             let mut response: Vec<(f64, f64)> = response
                 .filter(|(x, _)| x.abs() < BESIDE_EDGE * column)
                 .collect();
             response.sort_by(|a, b| a.0.total_cmp(&b.0));
             widths.extend(rise(&response));
+            self.taken(control)?;
         }
         // A mean over part of the positions would depend on them.
         let all = widths.len() == EDGES as usize;

@@ -6,6 +6,7 @@ use crate::math::DVec2;
 use crate::profile::{Calibration, Peak};
 use crate::report::chart::short;
 use crate::report::uncertainty_plot::uncertainty_plot;
+use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, check_frame, files};
@@ -67,6 +68,7 @@ pub fn monte_carlo<'a>(
     control: &Control,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
+    require_study(&scene)?;
     // What is scattered must not be left out.
     scene.tolerance_um = None;
     let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
@@ -151,6 +153,7 @@ pub fn repeatability<'a>(
     control: &Control,
 ) -> Result<MonteCarlo> {
     check_frame(&scene, frame)?;
+    require_study(&scene)?;
     scene.tolerance_um = None;
     let out = out.into().claim(&scene.inputs, &Names::of(FILES))?.path;
     let simulation = Simulation::new(&scene)?;

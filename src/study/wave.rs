@@ -23,7 +23,9 @@ use crate::wave::grain::{GrainCase, GrainRow, grain_lengths, reference_grains};
 use crate::wave::image::{
     ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
 };
-use crate::wave::motion::{MotionCase, MotionRow, WaveSampling, measure_motions, motion_terms};
+use crate::wave::motion::{
+    MotionCase, MotionRow, WaveSampling, measure_motions_watched, motion_terms,
+};
 use crate::wave::patch::{lit, patch_filling_view};
 use crate::wave::spot::{SpotRow, limit_setups, spot_height_noise};
 use serde::Serialize;
@@ -93,7 +95,7 @@ pub fn wave_reference<'a>(
     };
     let mut motions = Vec::new();
     for (i, case) in reference_cases().iter().enumerate() {
-        motions.push(measured(case, i, &sampling, control)?);
+        motions.push(measured(case, i, &sampling, control, &|_| {})?);
         (control.progress)(i as u64 + 1);
     }
     let centroids = line_centroid_noise(&LineSetup {
@@ -144,21 +146,17 @@ pub fn wave_patch<'a>(
     let out = out.into().claim(&patch.scene.inputs, &names)?.path;
     let seed = patch.sampling.seed;
     let all: f64 = patch.terms.iter().sum();
-    let told = |terms: f64| (control.progress)((terms / all * PATCH_STEPS as f64) as u64);
-    let mut done = 0.0;
+    let done = AtomicU64::new(0);
+    let added = |terms: usize| {
+        let share = (done.fetch_add(terms as u64, Relaxed) as f64 / all).min(1.0);
+        (control.progress)((share * PATCH_STEPS as f64) as u64);
+    };
     let mut motions = Vec::new();
-    for (i, (case, terms)) in patch.cases.iter().zip(patch.terms).enumerate() {
-        motions.push(measured(case, i, &patch.sampling, control)?);
-        done += terms;
-        told(done);
+    for (i, case) in patch.cases.iter().enumerate() {
+        motions.push(measured(case, i, &patch.sampling, control, &added)?);
     }
     control.check()?;
-    let samples = pupil_samples(patch.image.window / patch.image.grain);
-    let sampled = AtomicU64::new(0);
-    let image = patch.image.take(&patch.scene, seed, &|| {
-        let share = sampled.fetch_add(1, Relaxed) as f64 / samples;
-        told(done + patch.terms[3] * share.min(1.0));
-    })?;
+    let image = patch.image.take(&patch.scene, seed, &added)?;
     control.check()?;
     let scene = &patch.scene;
     let grains = grain_lengths(
@@ -228,11 +226,12 @@ fn measured(
     row: usize,
     sampling: &WaveSampling,
     control: &Control,
+    added: &(dyn Fn(usize) + Sync),
 ) -> Result<MotionRow> {
     control.check()?;
     let seed = sampling.seed.wrapping_add(row as u64);
     let sampling = WaveSampling { seed, ..*sampling };
-    Ok(measure_motions(std::slice::from_ref(case), &sampling)?.remove(0))
+    Ok(measure_motions_watched(std::slice::from_ref(case), &sampling, added)?.remove(0))
 }
 
 /// γ as the fields of a scan's frames show it before and after each motion: the
@@ -327,7 +326,7 @@ impl LineImage {
         SCATTERERS_A_GRAIN * grains * grains * pupil_samples(grains)
     }
 
-    fn take(&self, scene: &Scene, seed: u64, sampled: &(dyn Fn() + Sync)) -> Result<WaveImage> {
+    fn take(&self, scene: &Scene, seed: u64, added: &(dyn Fn(usize) + Sync)) -> Result<WaveImage> {
         let view = &self.view;
         let ray = view.pupil_centre - view.point;
         let length = ray.length();
@@ -363,7 +362,8 @@ impl LineImage {
             diameter: view.pupil_diameter,
             aperture: scene.camera.lens.aperture,
         };
-        let field = pupil_field_watched(&scatterers, &pupil, wavelength, &grid, sampled)?;
+        let sampled = || added(scatterers.len());
+        let field = pupil_field_watched(&scatterers, &pupil, wavelength, &grid, &sampled)?;
         Ok(intensity_at_focus(&field, &grid))
     }
 }
@@ -417,6 +417,13 @@ impl WavePatch {
                 image,
                 terms,
             });
+        }
+        if !all.is_finite() {
+            return Err(Error::Usage(format!(
+                "the wave-optics reference of {}: the patch under the laser, the grains or the motion have no finite \
+                 size, expected a camera some way off the patch and steps that it sees",
+                printable::path(&scene.path)
+            )));
         }
         let window_mm = image.window;
         let grains = window_mm / image.grain;

@@ -46,6 +46,15 @@ impl Refused {
         }
     }
 
+    /// A newer draft was requested.
+    pub fn superseded() -> Refused {
+        Refused {
+            key: None,
+            message: "a newer draft was requested, and this one was cancelled".to_owned(),
+            status: 409,
+        }
+    }
+
     /// A fault of the program.
     pub fn fault() -> Refused {
         Refused {
@@ -78,6 +87,7 @@ impl From<Error> for Refused {
                 message: printable::line(message),
                 status: 422,
             },
+            Error::Interrupted => Refused::superseded(),
             other => Refused {
                 key: None,
                 message: other.to_string(),

@@ -4,6 +4,7 @@ use super::refused::{Answer, Refused};
 use super::values::{Base, Files, Values};
 use crate::camera::Counts;
 use crate::error::{Error, Result};
+use crate::frame::unless_stopped;
 use crate::inspect::cloud::CloudPoint;
 use crate::math::{Aabb, DVec3};
 use crate::report::live::Slider;
@@ -142,14 +143,16 @@ impl Session {
         Ok(scene)
     }
 
-    /// A picture to see while values change. Errors: values that cannot be.
-    pub fn draft(&self, values: &Values) -> Answer<Picture> {
+    /// A picture to see while values change. Errors: values that cannot be; [`Refused::superseded`] soon after `stop`
+    /// is set.
+    pub fn draft(&self, values: &Values, stop: &Arc<AtomicBool>) -> Answer<Picture> {
         let start = Instant::now();
         let scene = self.changed(&self.base.text(values)?, values)?;
         // What is stated of errors changes little from one value to the next.
         let last = self.kept().1.clone();
-        let simulation = last.draft(&scene, values.frame)?;
-        Ok(self.picture(&simulation, values.frame, true, start))
+        let simulation = last.draft(&scene, values.frame, stop)?;
+        let picture = || self.picture(&simulation, values.frame, true, start);
+        unless_stopped(picture).ok_or_else(Refused::superseded)
     }
 
     /// The picture that `render` makes of the saved scene. Errors: values that cannot be.

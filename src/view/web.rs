@@ -13,13 +13,14 @@ use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{map_request_with_state, map_response};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use std::mem::replace;
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 
 /// Requests that may wait at once. A page has two at most.
@@ -46,6 +47,17 @@ struct View {
     /// One draft at a time, and one final picture beside it: a search for a plan must not hold drafts up.
     drafts: Arc<Semaphore>,
     finals: Arc<Semaphore>,
+    /// The draft that was requested last.
+    latest: Arc<Mutex<Arc<AtomicBool>>>,
+}
+
+/// Cancels a draft when its request ends: it is answered, or nobody waits for it.
+struct Requested(Arc<AtomicBool>);
+
+impl Drop for Requested {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 type Asked = std::result::Result<Query<Values>, QueryRejection>;
@@ -58,6 +70,7 @@ fn router(session: Arc<Session>) -> Router {
         waiting: Arc::new(Semaphore::new(MOST_WAITING)),
         drafts: Arc::new(Semaphore::new(1)),
         finals: Arc::new(Semaphore::new(1)),
+        latest: Arc::default(),
     };
     Router::new()
         .route("/", get(page))
@@ -144,8 +157,22 @@ async fn work<T: Send + 'static>(
     turn: Arc<Semaphore>,
     work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
 ) -> Answer<T> {
-    let waiting = view.waiting.try_acquire_owned();
-    let waiting = waiting.map_err(|_| Refused::busy())?;
+    let waiting = admitted(&view)?;
+    work_of_admitted(view, waiting, turn, work).await
+}
+
+/// Errors: as many as may wait do.
+fn admitted(view: &View) -> Answer<OwnedSemaphorePermit> {
+    let waiting = view.waiting.clone().try_acquire_owned();
+    waiting.map_err(|_| Refused::busy())
+}
+
+async fn work_of_admitted<T: Send + 'static>(
+    view: View,
+    waiting: OwnedSemaphorePermit,
+    turn: Arc<Semaphore>,
+    work: impl FnOnce(&Session) -> Answer<T> + Send + 'static,
+) -> Answer<T> {
     let turn = turn.acquire_owned().await.expect("it is never closed");
     let done = spawn_blocking(move || {
         // The turn is over when the work is, even if nobody waits for it any more.
@@ -185,8 +212,19 @@ async fn file(kind: &'static str, content: &'static str) -> Response {
 async fn draft(State(view): State<View>, asked: Asked) -> Answer<Response> {
     let Query(values) = asked?;
     let turn = view.drafts.clone();
-    let picture = work(view, turn, move |session| session.draft(&values));
-    Ok(packed(&picture.await?))
+    // A request that is refused cancels nothing: else no draft of many at once would be made.
+    let waiting = admitted(&view)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let requested = Requested(stop.clone());
+    let before = replace(
+        &mut *view.latest.lock().unwrap_or_else(PoisonError::into_inner),
+        stop.clone(),
+    );
+    before.store(true, Ordering::Relaxed);
+    let draft = move |session: &Session| session.draft(&values, &stop);
+    let picture = work_of_admitted(view, waiting, turn, draft).await;
+    drop(requested);
+    Ok(packed(&picture?))
 }
 
 async fn last(State(view): State<View>, asked: Asked) -> Answer<Response> {

@@ -2,7 +2,9 @@
 //! overlap law.
 
 use super::correlation::{PairCorrelation, correlate_pairs};
-use super::image::{ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field, pupil_samples};
+use super::image::{
+    ImageGrid, Pupil, WaveImage, intensity_at_focus, pupil_field_watched, pupil_samples,
+};
 use super::patch::{RoughPoint, lit, moved, patch_filling_view};
 use crate::error::{Error, Result};
 use crate::math::rng::{Key, Purpose};
@@ -84,12 +86,21 @@ pub struct MotionRow {
 /// field's own speckles are then not small against the shift.
 ///
 /// # Errors
-/// As [`pupil_field`]; at a view without direction (the point is the pupil's
+/// As [`pupil_field`](super::image::pupil_field); at a view without direction (the point is the pupil's
 /// centre) [`Error::Usage`].
 pub fn measure_motions(cases: &[MotionCase], sampling: &WaveSampling) -> Result<Vec<MotionRow>> {
+    measure_motions_watched(cases, sampling, &|_| {})
+}
+
+/// Measures the cases as [`measure_motions`] does; calls `added`, from any thread, with every number of terms that was added up.
+pub fn measure_motions_watched(
+    cases: &[MotionCase],
+    sampling: &WaveSampling,
+    added: &(dyn Fn(usize) + Sync),
+) -> Result<Vec<MotionRow>> {
     let key = Key::new(sampling.seed, Purpose::WaveScatterers);
     let rows = cases.iter().enumerate();
-    rows.map(|(k, case)| measure_motion(case, sampling, key.with(k as u64)))
+    rows.map(|(k, case)| measure_motion(case, sampling, key.with(k as u64), added))
         .collect()
 }
 
@@ -104,7 +115,12 @@ pub fn motion_terms(case: &MotionCase, sampling: &WaveSampling) -> Result<f64> {
     Ok(2.0 * sampling.realisations as f64 * scatterers * pupil_samples(grains))
 }
 
-fn measure_motion(case: &MotionCase, sampling: &WaveSampling, key: Key) -> Result<MotionRow> {
+fn measure_motion(
+    case: &MotionCase,
+    sampling: &WaveSampling,
+    key: Key,
+    added: &(dyn Fn(usize) + Sync),
+) -> Result<MotionRow> {
     let scale = case.view.magnification;
     let shift = speckle_shift(&case.view, &case.motion);
     let plan = Plan::of(case, shift.sensor / scale, sampling)?;
@@ -112,7 +128,10 @@ fn measure_motion(case: &MotionCase, sampling: &WaveSampling, key: Key) -> Resul
         .into_par_iter()
         .map(|k| {
             let points = plan.points(key.with(k));
-            Ok([plan.image(&points, -0.5)?, plan.image(&points, 0.5)?])
+            Ok([
+                plan.image(&points, -0.5, added)?,
+                plan.image(&points, 0.5, added)?,
+            ])
         })
         .collect::<Result<Vec<_>>>()?;
     let mut waves = correlate_pairs(&pairs, shift.sensor / scale, plan.region, sampling.seed);
@@ -164,7 +183,7 @@ impl Plan<'_> {
         let region = sampling.region_grains * grain;
         let needed = region + blur + slip.length() + 6.0 * grain;
         let grains = (needed / grain).max(PUPIL_SAMPLES);
-        let pixels = (grains * PIXELS_PER_GRAIN / 16.0).ceil() as usize * 16;
+        let pixels = ((grains * PIXELS_PER_GRAIN / 16.0).ceil() as usize).saturating_mul(16);
         let pixel_mm = grain / PIXELS_PER_GRAIN;
         Ok(Plan {
             case,
@@ -195,7 +214,12 @@ impl Plan<'_> {
     }
 
     /// The image with `share` of the motion done.
-    fn image(&self, points: &[RoughPoint], share: f64) -> Result<WaveImage> {
+    fn image(
+        &self,
+        points: &[RoughPoint],
+        share: f64,
+        added: &(dyn Fn(usize) + Sync),
+    ) -> Result<WaveImage> {
         let view = &self.case.view;
         let motion = &self.case.motion;
         let points = moved(
@@ -217,7 +241,14 @@ impl Plan<'_> {
             aperture: Aperture::Circle,
         };
         let scatterers = lit(&points, &source, view.point + laser, |_| 1.0);
-        let field = pupil_field(&scatterers, &pupil, self.wavelength_mm, &self.grid)?;
+        let sampled = || added(scatterers.len());
+        let field = pupil_field_watched(
+            &scatterers,
+            &pupil,
+            self.wavelength_mm,
+            &self.grid,
+            &sampled,
+        )?;
         Ok(intensity_at_focus(&field, &self.grid))
     }
 }

@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 
 /// `samples-NNNNNN.json`: what one tar file holds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct TarIndex {
+pub(super) struct TarIndex {
     job: String,
     file: String,
     samples: Range<u64>,

@@ -13,7 +13,9 @@ use crate::inspect::cloud::CloudPoint;
 use crate::math::{DVec3, Rigid};
 use crate::report::accept_page::AcceptPage;
 use crate::report::accept_plot::{self, Placed};
+use crate::run::need::require_study;
 use crate::run::output_folder::{Names, OutputFolder};
+use crate::run::sensor_figures::{FURTHEST_MM, range_that_ends};
 use crate::run::simulation::Simulation;
 use crate::run::{Control, Coverage, SensorFigures, files, ready};
 use crate::scene::{LimitsTable, Motion, Moves, ScanPath, Scene};
@@ -124,6 +126,7 @@ impl Acceptance {
             let mut scene = base.with_part(shape, Value::Table(numbers))?;
             scene.seed = seed.unwrap_or(scene.seed);
             change(&mut scene);
+            require_study(&scene)?;
             let simulation = ready::simulation(&scene, Coverage::Footprint, control)?;
             Ok(Part { scene, simulation })
         };
@@ -136,8 +139,13 @@ impl Acceptance {
         // Any part shows what the sensor sees of its light.
         let bare = made("plane", square(1.0))?;
         let table = bare.scene.accept.clone();
-        let volume = SensorFigures::of_simulation(&bare.simulation)
-            .and_then(|figures| Volume::of(&figures, &table));
+        let figures = SensorFigures::of_simulation(&bare.simulation);
+        let far = figures.as_ref().map_or(0.0, |figures| figures.ends()[1]);
+        if far > FURTHEST_MM {
+            let found = format!("one that sees light up to {far:.3e} mm from the laser");
+            return Err(base.wrong("camera.look_at_mm", found, range_that_ends()));
+        }
+        let volume = figures.and_then(|figures| Volume::of(&figures, &table));
         let volume = volume.ok_or_else(|| {
             let expected = "a line laser whose light the camera sees over some range: look at the sensor with check";
             base.wrong("camera.look_at_mm", "one that sees none", expected)
@@ -160,9 +168,14 @@ impl Acceptance {
         })
     }
 
-    /// Steps of a run with so many seeds.
+    /// Returns the number of profiles that a run with this number of seeds takes.
     pub fn steps(&self, seeds: u64) -> u64 {
-        seeds * self.placings.len() as u64
+        let of_placing = |placing: &Placing| match placing.artefact {
+            Artefact::Height => self.artefacts.repeats,
+            _ => placing.frames,
+        };
+        let of_seed = self.placings.iter().map(of_placing).map(u64::from);
+        seeds * of_seed.sum::<u64>()
     }
 
     /// Runs the test with `seeds` seeds from the sensor's own on, and writes `accept.json` and `report.html`.
@@ -203,15 +216,18 @@ impl Acceptance {
     pub fn characteristics(&self, seeds: u64, control: &Control) -> Result<Vec<Characteristic>> {
         let first = self.plate.scene.seed;
         let done = AtomicU64::new(0);
+        let taken = || {
+            (control.progress)(done.fetch_add(1, Ordering::Relaxed) + 1);
+            control.check()
+        };
         let mut by_place = Vec::new();
         for placing in &self.placings {
+            control.check()?;
             let placed = self.placed(placing)?;
             let of_seed = |k| {
                 control.check()?;
                 let simulation = placed.with_seed(first.wrapping_add(k))?;
-                let measured = self.measure(placing, &simulation);
-                (control.progress)(done.fetch_add(1, Ordering::Relaxed) + 1);
-                Ok(measured)
+                self.measure(placing, &simulation, &taken)
             };
             let by_seed = (0..seeds).into_par_iter().map(of_seed);
             by_place.push(by_seed.collect::<Result<Vec<_>>>()?);
@@ -242,20 +258,25 @@ impl Acceptance {
         of_kind.simulation.of_same_part(&scene)
     }
 
-    fn measure(&self, placing: &Placing, simulation: &Simulation) -> Measured {
-        match placing.artefact {
-            Artefact::Sphere => self.sphere(placing, simulation),
+    /// `taken` is called after each profile, and ends the work with its error.
+    fn measure(
+        &self,
+        placing: &Placing,
+        simulation: &Simulation,
+        taken: &AfterProfile,
+    ) -> Result<Measured> {
+        Ok(match placing.artefact {
+            Artefact::Sphere => self.sphere(placing, valid_points(simulation, taken)?),
             Artefact::Plate => Measured {
-                flatness: self.flatness(simulation),
+                flatness: self.flatness(valid_points(simulation, taken)?),
                 ..Measured::default()
             },
-            Artefact::Height => self.height(simulation),
-        }
+            Artefact::Height => self.height(simulation, taken)?,
+        })
     }
 
-    fn sphere(&self, placing: &Placing, simulation: &Simulation) -> Measured {
+    fn sphere(&self, placing: &Placing, points: Vec<DVec3>) -> Measured {
         let (radius, cap) = (self.artefacts.sphere_mm / 2.0, self.artefacts.cap());
-        let points = valid_points(simulation);
         // About the sphere as it is measured: who measures knows no other.
         let found = Sphere::fit_cap(&points, DVec3::ZERO, DVec3::Z, (BEYOND * cap).min(1.5));
         let found = found.filter(|found| found.points.len() >= LEAST_POINTS);
@@ -280,8 +301,7 @@ impl Acceptance {
         }
     }
 
-    fn flatness(&self, simulation: &Simulation) -> Option<f64> {
-        let mut points = valid_points(simulation);
+    fn flatness(&self, mut points: Vec<DVec3>) -> Option<f64> {
         points.retain(|p| self.on_plate(p));
         if points.len() < LEAST_POINTS {
             return None;
@@ -296,7 +316,7 @@ impl Acceptance {
     }
 
     /// A profile of a level plate, taken again and again while nothing moves.
-    fn height(&self, simulation: &Simulation) -> Measured {
+    fn height(&self, simulation: &Simulation, taken: &AfterProfile) -> Result<Measured> {
         let light = simulation.irradiance(0);
         let repeats: Vec<BTreeMap<u32, f64>> = (0..self.artefacts.repeats)
             .into_par_iter()
@@ -306,12 +326,13 @@ impl Acceptance {
                 let valid = points
                     .iter()
                     .filter(|p| p.is_valid() && self.on_plate(&p.position));
-                valid.map(|p| (p.column, p.position.z)).collect()
+                taken()?;
+                Ok(valid.map(|p| (p.column, p.position.z)).collect())
             })
-            .collect();
+            .collect::<Result<_>>()?;
         let heights = || repeats[0].values();
         if heights().len() < LEAST_POINTS {
-            return Measured::default();
+            return Ok(Measured::default());
         }
         let n = repeats.len() as f64;
         let variances = repeats[0].keys().filter_map(|column| {
@@ -322,11 +343,11 @@ impl Acceptance {
         });
         let variances: Vec<f64> = variances.collect();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        Measured {
+        Ok(Measured {
             linearity: Some(heights().sum::<f64>() / heights().len() as f64),
             repeatability: (!variances.is_empty()).then(|| mean(&variances).sqrt()),
             ..Measured::default()
-        }
+        })
     }
 
     /// From what each place gave for each seed.
@@ -493,17 +514,21 @@ impl Acceptance {
     }
 }
 
+/// Counts a profile, and returns an error if the work is to end.
+type AfterProfile<'a> = dyn Fn() -> Result<()> + Sync + 'a;
+
 /// Valid points of all frames, in the artefact's frame.
-fn valid_points(simulation: &Simulation) -> Vec<DVec3> {
+fn valid_points(simulation: &Simulation, taken: &AfterProfile) -> Result<Vec<DVec3>> {
     let frames = 0..simulation.scene.scan.frames;
-    let taken = frames
-        .clone()
-        .into_par_iter()
-        .map(|frame| simulation.profile(frame).1);
-    let mut points: Vec<CloudPoint> = taken.collect::<Vec<_>>().concat();
+    let profiles = frames.clone().into_par_iter().map(|frame| {
+        let profile = simulation.profile(frame).1;
+        taken()?;
+        Ok(profile)
+    });
+    let mut points: Vec<CloudPoint> = profiles.collect::<Result<Vec<_>>>()?.concat();
     simulation.compare_frames(frames, &mut points);
     let valid = points.iter().filter(|point| point.is_valid());
-    valid.map(|point| point.position).collect()
+    Ok(valid.map(|point| point.position).collect())
 }
 
 impl AcceptSummary {

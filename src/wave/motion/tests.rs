@@ -136,7 +136,7 @@ fn pairs_over_the_step(plan: &Plan, sampling: &WaveSampling) -> Vec<[WaveImage; 
                 p.position -= DVec3::Z * STEP_MM;
             }
         }
-        [-0.5, 0.5].map(|share| plan.image(&points, share).unwrap())
+        [-0.5, 0.5].map(|share| plan.image(&points, share, &|_| {}).unwrap())
     };
     (0..sampling.realisations)
         .into_par_iter()

@@ -1,0 +1,7 @@
+#![no_main]
+
+mod harness;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    harness::is_manifest(bytes);
+});
