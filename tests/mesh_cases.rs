@@ -613,7 +613,7 @@ fn outcomes_are_what_the_readme_of_the_files_calls_right() {
     let Some(folder) = folder() else { return };
     let readme = std::fs::read_to_string(folder.join("README.md")).unwrap();
     let mut wrong = Vec::new();
-    println!("| file | right, by the README of the files | actual |\n|---|---|---|");
+    println!("\n| file | right, by the README of the files | actual |\n|---|---|---|");
     for file in meshes(&folder) {
         let Some(right) = right_by_readme(&readme, &file) else {
             wrong.push(format!("{file}: not in the README"));

@@ -708,6 +708,11 @@ fn image_cases_are_read_right() {
     };
     let plain = peaks("i00_grey8.png");
     assert_eq!(plain.len(), 200);
+    println!("\n| image | right, by the README of the files | actual |\n|---|---|---|");
+    println!(
+        "| i00_grey8.png | a line in 200 columns | {} points |",
+        plain.len()
+    );
     for (name, bound) in [
         ("i01_grey16.png", 1e-4),
         ("i02_palette.png", 1e-4),
