@@ -181,6 +181,45 @@ fn without_a_terminal_there_is_no_progress_and_the_text_names_the_files() {
     }
 }
 
+/// A scene whose sensor comes from a file and a data sheet, whose exposure is found, whose mesh is in another folder,
+/// and whose seed is the command's.
+#[test]
+fn a_scan_of_the_resolved_scene_gives_the_same_cloud() {
+    let root = env!("CARGO_MANIFEST_DIR");
+    let text = format!(
+        "seed = 1\nspeckle = true\nsensor = \"{root}/sensors/generic-20mm-405nm.toml\"\n\
+         [part]\nmesh = {{ file = \"parts/part.obj\", unit = \"mm\" }}\nreflectance = 0.5\n\
+         [scan]\nframes = 2\nstep_mm = 0.1\ndirection = [0, 1, 0]\n"
+    );
+    let folder = folder_with(&text);
+    let path = folder.path();
+    fs::create_dir(path.join("parts")).unwrap();
+    let mesh = "v -8 -8 0\nv 8 -8 1\nv 8 8 0\nv -8 8 0\nf 1 2 3 4\n";
+    fs::write(path.join("parts/part.obj"), mesh).unwrap();
+    let scan = ["scan", "scene.toml", "--seed", "5", "-o", "out/first"];
+    let summary = json(path, &[&scan[..], &["--json"]].concat());
+    assert!(summary["points"].as_u64().unwrap() > 100, "{summary}");
+    let valid = &summary["valid_fraction"];
+    assert!((0.5..=1.0).contains(&valid.as_f64().unwrap()), "{valid}");
+    let checked = json(path, &["check", "scene.toml", "--seed", "5", "--json"]);
+    assert_eq!(summary["assessment"], checked["assessment"]);
+    assert!(summary["assessment"]["light"]["valid"].as_f64().unwrap() > 0.5);
+    let read = |name: &str| fs::read_to_string(path.join("out/first").join(name)).unwrap();
+    for name in ["resolved-scene.toml", "resolved-sensor.toml"] {
+        assert!(read("report.html").contains(&format!("href=\"{name}\"")));
+    }
+    let sensor = read("resolved-sensor.toml");
+    assert!(
+        sensor.contains("exposure_ms") && !sensor.contains("auto"),
+        "{sensor}"
+    );
+    assert!(!sensor.contains("data_sheet"), "{sensor}");
+    let again = ["scan", "out/first/resolved-scene.toml", "-o", "again"];
+    assert_eq!(run(path, &again).0, 0);
+    let profiles = |folder: &str| fs::read(path.join(folder).join("profiles.npy")).unwrap();
+    assert!(profiles("out/first") == profiles("again"));
+}
+
 #[test]
 fn another_seed_shows_in_manifest_and_noise_and_the_hash_stays_the_file_s() {
     let folder = folder_with(&scene(PLANE));

@@ -198,16 +198,26 @@ fn a_gaussian_fit_reaches_the_cramer_rao_bound() {
 #[test]
 fn noise_alone_is_hardly_ever_a_line() {
     assert_eq!(FALSE_PEAKS_PER_FRAME, 1e-3);
-    for (black, noise) in [(0.0, 2.3), (0.3, 2.3), (100.0, 2.3), (100.0, 23.0)] {
+    let levels = [
+        (0.0, 2.3),
+        (0.3, 2.3),
+        (100.0, 2.3),
+        (100.0, 23.0),
+        (0.0, 23.0),
+    ];
+    for (seed, (black, noise)) in [6, 7, 8].into_iter().flat_map(|s| levels.map(|l| (s, l))) {
         let normal = Normal::new(black, noise).unwrap();
         let mut found = 0;
         for frame in 0..400 {
-            let mut stream = Key::new(6, Purpose::SensorNoise).with(frame).stream();
+            let mut stream = Key::new(seed, Purpose::SensorNoise).with(frame).stream();
             let columns: Vec<Vec<f64>> = (0..64)
                 .map(|_| (0..ROWS).map(|_| normal.sample(&mut stream)).collect())
                 .collect();
             found += find(&columns, &settings(PeakFinder::Centroid)).len();
         }
+        println!(
+            "seed {seed}, black level {black}, noise {noise}: {found} false peaks in 400 frames"
+        );
         assert!(found <= 6, "{found} false peaks at black level {black}");
     }
 }
@@ -219,12 +229,12 @@ fn covered(height: f64, noise: f64, sigma: f64) -> f64 {
 }
 
 /// Lines that cover up to half of the rows, with independent speckle in each pixel or without, on
-/// black levels that cut the noise or do not: 99 of 100 columns have a line, and 95 with speckle, whose
-/// dark pixels may leave no six bright rows in turn. White noise
+/// black levels that cut the noise or do not: 99 of 100 columns have a line. White noise
 /// moves a centroid over 8σ rows by noise·√(∫x²)/(√(2π)·σ·height), ∫x² = 2·(4σ)³/3: 2.6·√σ times the
 /// ratio of noise to height. The row is within five of these, and 0.05 px for rounding and pixels
-/// that the window cuts. The stated noise is too large where a bright grain exceeds the threshold of the background by
-/// all rows, which the line widens.
+/// that the window cuts. The tails of a line on half of the rows lie on up to 0.37 of the others: a Gaussian that is 100
+/// times as high as the noise is six times as high at 2.4 and half as high at 3.3 standard deviations. They raise the
+/// stated noise by less than 5 in every column, and by less than 3 in the median.
 #[test]
 fn a_line_may_cover_half_of_the_rows() {
     for seed in [11, 12, 13] {
@@ -237,6 +247,8 @@ fn a_line_may_cover_half_of_the_rows() {
             (96, 0.0, 20.0, 2000.0),
             (200, 100.0, 20.0, 2000.0),
             (200, 0.0, 0.68, 200.0),
+            (1024, 0.0, 0.68, 800.0),
+            (96, 0.0, 23.0, 4000.0),
         ] {
             for (percent, speckle) in [16, 25, 35, 50].into_iter().flat_map(|p| [(p, 0), (p, 1)]) {
                 let wanted = f64::from(percent) / 100.0 * rows as f64;
@@ -261,16 +273,14 @@ fn a_line_may_cover_half_of_the_rows() {
                 let image = Counts::of_columns(counts.collect(), rows);
                 let peaks = find_peaks(&image, &settings(PeakFinder::Centroid));
                 let case = format!("{seed} {rows} {black} {noise} {percent} {speckle}");
-                assert!(
-                    peaks.len() >= 99 - 4 * speckle,
-                    "{case}: {} lines",
-                    peaks.len()
-                );
+                assert!(peaks.len() >= 99, "{case}: {} lines", peaks.len());
                 let true_noise = noise.hypot(1.0 / 12f64.sqrt());
                 let mut noises: Vec<f64> = peaks.iter().map(|p| p.noise / true_noise).collect();
                 noises.sort_by(f64::total_cmp);
                 let median = noises[noises.len() / 2];
-                assert!(median > 0.6, "{case}: noise {median}");
+                assert!((0.6..3.0).contains(&median), "{case}: noise {median}");
+                let most = noises[noises.len() - 1];
+                assert!(most < 5.0, "{case}: noise {most}");
                 let bound = 13.0 * noise / height * sigma.sqrt() + 0.05;
                 for peak in peaks.iter().filter(|_| speckle == 0) {
                     assert!(
@@ -698,6 +708,11 @@ fn image_cases_are_read_right() {
     };
     let plain = peaks("i00_grey8.png");
     assert_eq!(plain.len(), 200);
+    println!("\n| image | right, by the README of the files | actual |\n|---|---|---|");
+    println!(
+        "| i00_grey8.png | a line in 200 columns | {} points |",
+        plain.len()
+    );
     for (name, bound) in [
         ("i01_grey16.png", 1e-4),
         ("i02_palette.png", 1e-4),
@@ -721,6 +736,7 @@ fn image_cases_are_read_right() {
         assert!(rms <= bound, "{name}: {rms}");
         let flagged = |peak: &Peak| peak.flags.contains(Flags::SATURATED);
         assert!(!found.iter().any(flagged), "{name}");
+        println!("| {name} | rows of i00 to {bound} px | {rms:.1e} px |");
     }
     for name in [
         "i09_12in16_saturated.png",
@@ -734,5 +750,27 @@ fn image_cases_are_read_right() {
         let found = peaks(name);
         let flagged = |peak: &Peak| peak.flags.contains(Flags::SATURATED);
         assert!(found.len() == 200 && found.iter().all(flagged), "{name}");
+        println!("| {name} | SATURATED on all 200 points | as expected |");
+    }
+    // Others of the README are read, or refused with a reason.
+    let others = [
+        "i05_grey1.png",
+        "i05_grey2.png",
+        "i05_grey4.png",
+        "i17_cut.png",
+        "i18_bad_crc.png",
+    ];
+    for name in others {
+        let bytes = std::fs::read(folder.join(name)).unwrap();
+        let actual = match parse_image(
+            Path::new(name),
+            &bytes,
+            LineAlong::Columns,
+            Channel::Brightest,
+        ) {
+            Ok(image) => format!("{} points", image.peaks(PeakFinder::Centroid).len()),
+            Err(error) => format!("refused: {error}"),
+        };
+        println!("| {name} | read, or refused with a reason | {actual} |");
     }
 }

@@ -75,6 +75,55 @@ else
     mv docs/intervals.md.new docs/intervals.md
 fi
 
+# The tables of a log, with an empty line between them
+tables() {
+    awk '/^\|/ { print; inside = 1; next } inside { print ""; inside = 0 }' "$log"
+}
+
+name='mistakes of users and sound scenes'
+goal='check warns of each mistake and of none of ten sound scenes'
+command='cargo test --features service,race --test warnings -- --nocapture --test-threads 1 mistakes sound'
+if [ "$page" = "$out/small.md" ]; then
+    skip "$name" "$goal" 'not in the small form' "$command"
+else
+    # shellcheck disable=SC2086
+    try mistakes $command
+    row "$name" "$(grep -c '^| .*| no warning |' "$log") sound scenes without a warning; docs/mistakes.md" "$goal" "$met" "$command"
+    {
+        echo '# Mistakes of users, and sound scenes'
+        echo
+        echo "Written by \`make verify\` with \`$command\`."
+        echo
+        echo 'Each mistake is made in a scene that is drawn from a seed (tests/mistakes). The output is all warnings of `check`.'
+        echo 'The fractions are those of the assessment.'
+        echo
+        tables
+    } >docs/mistakes.md.new
+    mv docs/mistakes.md.new docs/mistakes.md
+fi
+
+name='small files of the kinds that users have'
+goal='read, warned of or refused as the README of the files calls right'
+command='cargo test --features service,race --test mesh_cases --test peaks -- --nocapture --test-threads 1 readme image_cases'
+# shellcheck disable=SC2086
+try mesh-cases $command
+if grep -qE 'NOT TESTED|SKIPPED' "$log"; then
+    skip "$name" "$goal" 'no ../shared/data/cases' "$command"
+else
+    row "$name" "$(grep -cE '^\| [gimops][0-9]' "$log") files; docs/mesh-cases.md" "$goal" "$met" "$command"
+    {
+        echo '# Small files of the kinds that users have'
+        echo
+        echo "Written by \`make verify\` with \`$command\`."
+        echo
+        echo 'The second column is the README of the files, which was written independently of this program. Text in brackets states'
+        echo 'what follows from the content of a file that the README calls right "as named".'
+        echo
+        tables
+    } >docs/mesh-cases.md.new
+    mv docs/mesh-cases.md.new docs/mesh-cases.md
+fi
+
 command="cargo run $profile${features:+ $features} --example aimed_rays -- $rays"
 # shellcheck disable=SC2086
 try rays $command

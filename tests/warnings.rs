@@ -421,12 +421,18 @@ fn assert_sound(name: &str, scene: &Scene) {
     };
     let checked = lasertrace::run::check(scene, &control).unwrap();
     assert_eq!(checked.warnings, [], "{name}: {:?}", checked.assessment);
+    let measured = checked.assessment.surface.map_or(0.0, |s| s.measured);
+    let valid = checked.assessment.light.map_or(0.0, |light| light.valid);
+    println!("| {name} | no warning | {measured:.3} | {valid:.3} |");
 }
+
+const SOUND: &str = "\n| sound scene | output of check | fraction of the measurable surface | fraction of the light |\n|---|---|---|---|";
 
 /// Scenes of the repository. The tolerance of the accuracy scene selects methods, which takes minutes, and has no part
 /// in the warnings.
 #[test]
 fn sound_scenes_of_the_repository_give_no_warning() {
+    println!("{SOUND}");
     for name in ["accuracy", "balls", "bracket", "plane", "rotary", "step"] {
         let file = format!("{}/scenes/{name}/scene.toml", env!("CARGO_MANIFEST_DIR"));
         let mut scene = Scene::load(Path::new(&file)).unwrap();
@@ -440,6 +446,7 @@ fn sound_scenes_of_the_repository_give_no_warning() {
 /// and the tilted sensor of a data sheet over a ball.
 #[test]
 fn sound_scenes_of_other_kinds_give_no_warning() {
+    println!("{SOUND}");
     let base = mistakes::bracket();
     let (before, after) = base.split_once("mesh = {").unwrap();
     let (_, after) = after.split_once('}').unwrap();

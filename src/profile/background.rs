@@ -1,6 +1,8 @@
 //! The background of a column, and what stands out from it.
 
 use crate::camera::Column;
+use std::cmp::Reverse;
+use std::ops::Range;
 
 /// Peaks expected per frame in which no light falls on the sensor.
 pub const FALSE_PEAKS_PER_FRAME: f64 = 1e-3;
@@ -49,34 +51,37 @@ pub fn least_height(pixels: usize, noise: f64) -> f64 {
     detection_sigmas(pixels) * noise.max(ROUNDING)
 }
 
-/// Returns the background of a column with this histogram, by all rows. If no count exceeds its threshold, a wide line
-/// may have raised the scale of the noise: then the [`dark_rows`] give the background if a line exceeds it over
-/// [`LINE_ROWS`]. `scratch` is an empty histogram and is empty again afterwards.
+/// Returns the background of a column with this histogram. It is estimated from all rows, unless a line covers many of
+/// them: then only from the rows outside the line. If a halo of the line reaches all of these, the mean is estimated
+/// from all rows and includes the halo up to the threshold. `scratch` is an empty histogram and is empty again
+/// afterwards.
 pub(super) fn background(
     column: &Column,
     z: f64,
     histogram: &Histogram,
     scratch: &mut Histogram,
 ) -> Background {
-    let of_all = background_from(&Start::of(column.rows(), histogram), z, histogram);
-    let highest = histogram.value(column.rows().saturating_sub(1));
-    if f64::from(highest) > of_all.mean + of_all.threshold {
+    let rows = column.rows();
+    let of_all = background_from(&Start::of(rows, histogram), z, histogram);
+    if !may_be_wide(rows, histogram) {
         return of_all;
     }
-    let Some(counts) = dark_rows(column, histogram) else {
+    let whole = column.whole();
+    let counts = whole.drawn().1;
+    let line = brightest_half(counts);
+    let outside = outside(counts, &line);
+    let [inside, [mean, variance]] = [&counts[line], &outside[..]].map(mean_and_variance);
+    if inside[0] - mean < CONTRAST * variance.sqrt() {
         return of_all;
-    };
-    let dark = Column::from(&counts[..]);
-    scratch.count(&dark, counts.iter().copied().max().unwrap_or(0));
-    let start = Start::of(counts.len(), scratch);
-    scratch.clear(&dark, None);
-    let found = background_from(&start, z, histogram);
-    // Few dark rows may have less noise than the column: its own noise is then no line.
-    let level = found.mean + 4.0 * found.noise;
-    match longest_run(column, level as u16) >= line_rows(column) {
-        true => found,
-        false => of_all,
     }
+    let column = Column::from(&outside[..]);
+    scratch.count(&column, outside.iter().copied().max().unwrap_or(0));
+    let mut found = background_from(&Start::of(outside.len(), scratch), z, scratch);
+    scratch.clear(&column, None);
+    if has_halo(&outside) {
+        found.mean = of_all.mean.min(found.mean + found.threshold);
+    }
+    found
 }
 
 /// Returns the mean and standard deviation of the counts within four standard deviations of the
@@ -149,64 +154,66 @@ impl Start {
     }
 }
 
-/// Length of a run of rows brighter than the darker half that is taken as a line. Of white noise
-/// that the black level cuts, 5 % of columns of 48 rows have one.
-const LINE_ROWS: usize = 6;
+/// Least difference of the mean counts in the brightest half of the rows and in the others, in standard deviations of
+/// the latter, from which a line is in that half. For n rows without a line the difference has a standard error of 2/√n
+/// deviations: from 16 rows on the limit is twelve of them, where the brightest of n/2 halves reaches four or five. The
+/// deviation itself may be underestimated by two, as half of few rows may be zeros.
+const CONTRAST: f64 = 6.0;
 
-/// Rows per block that is dark or not.
-const DARK_BLOCK: usize = 4;
+/// Standard errors by which rows nearer to a line are brighter where it has a halo.
+const HALO: f64 = 3.0;
 
-/// [`LINE_ROWS`], or a quarter of the rows if that is less.
-fn line_rows(column: &Column) -> usize {
-    LINE_ROWS.min(column.rows() / 4).max(1)
-}
-
-/// Length of the longest run of counts above `level`.
-fn longest_run(column: &Column, level: u16) -> usize {
-    let counts = column.whole().drawn().1;
-    let runs = counts.split(|&count| count <= level).map(<[u16]>::len);
-    runs.max().unwrap_or(0)
-}
-
-/// Returns the counts of the darkest third of a column's blocks, if a line covers more than 1/16 of
-/// the rows; `None` otherwise. Up to half of the rows may be line: the darker half are then noise,
-/// and twice their range about their highest count bounds the noise. A histogram cannot distinguish
-/// a wide line from noise that the black level cuts, but a line is contiguous. The tails of a line on
-/// half of the rows reach over most of the other half, and leave about a third.
-///
-/// Blocks are chosen by every other row, and the rows between are returned, so that the choice does
-/// not depend on their noise.
-fn dark_rows(column: &Column, histogram: &Histogram) -> Option<Vec<u16>> {
-    let rows = column.rows();
+/// Returns whether more than 1/16 of the rows may belong to a line. If a line covers at most half of the rows, the
+/// darker half are noise, and twice their range above the lowest count bounds the noise.
+fn may_be_wide(rows: usize, histogram: &Histogram) -> bool {
     let middle = histogram.value(rows.saturating_sub(1) / 2);
     let range = middle - histogram.value(0);
     // Four counts for rounding.
     let bound = middle.saturating_add(range).saturating_add(4);
     let bright = rows as u64 - histogram.moments(0, bound).0;
-    if 16 * bright <= rows as u64 {
-        return None;
+    16 * bright > rows as u64
+}
+
+/// Returns the contiguous half of the rows with the most light. The other rows are an almost unbiased sample of the
+/// noise, as they are selected by place and not by counts.
+fn brightest_half(counts: &[u16]) -> Range<usize> {
+    let half = counts.len() / 2;
+    let mut sum: u64 = counts[..half].iter().map(|&count| u64::from(count)).sum();
+    let (mut first, mut most) = (0, sum);
+    for row in half..counts.len() {
+        sum = sum + u64::from(counts[row]) - u64::from(counts[row - half]);
+        if sum > most {
+            (first, most) = (row + 1 - half, sum);
+        }
     }
-    if longest_run(column, bound) < line_rows(column) {
-        return None;
-    }
-    let counts = column.whole().drawn().1;
-    let (blocks, _) = counts.as_chunks::<DARK_BLOCK>();
-    let mut dark = Vec::with_capacity(rows);
-    for parity in [0, 1] {
-        let of_parity = |block: &[u16; DARK_BLOCK], parity: usize| {
-            [block[parity], block[parity + 2]].map(u32::from)
-        };
-        let sum = |block: &&[u16; DARK_BLOCK]| of_parity(block, parity).iter().sum::<u32>();
-        let mut sorted: Vec<_> = blocks.iter().collect();
-        sorted.sort_by_key(sum);
-        sorted.truncate(blocks.len().div_ceil(3));
-        dark.extend(
-            sorted
-                .iter()
-                .flat_map(|block| [block[1 - parity], block[3 - parity]]),
-        );
-    }
-    (!dark.is_empty()).then_some(dark)
+    first..first + half
+}
+
+/// Returns the counts outside a line, the farthest first.
+fn outside(counts: &[u16], line: &Range<usize>) -> Vec<u16> {
+    let center = line.start + line.end;
+    let mut rows: Vec<usize> = (0..line.start).chain(line.end..counts.len()).collect();
+    rows.sort_by_key(|row| Reverse((2 * row + 1).abs_diff(center)));
+    rows.into_iter().map(|row| counts[row]).collect()
+}
+
+/// Returns mean and variance, at least the variance of rounding.
+fn mean_and_variance(counts: &[u16]) -> [f64; 2] {
+    let (n, sum, squares) = (counts.iter()).fold((0.0, 0.0, 0.0), |(n, sum, squares), &count| {
+        let count = f64::from(count);
+        (n + 1.0, sum + count, squares + count * count)
+    });
+    let mean = sum / n;
+    [mean, (squares / n - mean * mean).max(ROUNDING * ROUNDING)]
+}
+
+/// Returns whether light of a line reaches all rows outside it, which are given from the farthest on: the second quarter
+/// of them is brighter than the first. The tails of a line itself, which covers half of the rows, end within the other two.
+fn has_halo(outside: &[u16]) -> bool {
+    let quarter = outside.len() / 4;
+    let quarters = [&outside[..quarter], &outside[quarter..2 * quarter]];
+    let [[far, a], [near, b]] = quarters.map(mean_and_variance);
+    near - far > HALO * ((a + b) / quarter as f64).sqrt()
 }
 
 /// Variance of a variance that is estimated from one half of normal noise over

@@ -68,10 +68,13 @@ impl<'a> Axis<'a> {
                 .map(|value| (value, plain(value)))
                 .collect(),
             Scale::Logarithmic => {
-                // 1, 2 and 5 times each power of ten; of a long axis only the powers.
-                let long = high - low > 3.0;
+                // Factors of each power of ten: the fewer, the longer the axis.
                 let every = ((high - low) / most).ceil().max(1.0) as usize;
-                let factors: &[f64] = if long { &[1.0] } else { &[1.0, 2.0, 5.0] };
+                let factors: &[f64] = match high - low {
+                    short if short <= 1.0 => &[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0],
+                    medium if medium <= 3.0 => &[1.0, 2.0, 5.0],
+                    _ => &[1.0],
+                };
                 ((low - 1e-9).floor() as i32..=high.ceil() as i32)
                     .filter(|power| power.rem_euclid(every as i32) == 0)
                     .flat_map(|power| factors.iter().map(move |f| (f * 10f64.powi(power), power)))
@@ -114,7 +117,7 @@ impl Axes<'_> {
         let [left, top, width, height] = self.frame;
         let (right, bottom) = (left + width, top + height);
         let grid = "stroke='#ddd'";
-        for (value, name) in self.x.ticks((width / CLOSEST[0]).min(10.0)) {
+        for (value, name) in self.x.ticks((width / CLOSEST[0]).clamp(4.0, 10.0)) {
             let x = left + width * self.x.share(value);
             svg.line([x, top], [x, bottom], grid);
             svg.text([x, bottom + 17.0], MIDDLE, &name);
@@ -220,6 +223,10 @@ mod tests {
         assert_eq!(
             labels(Axis::logarithmic("", [0.5, 20.0]), 6.0),
             ["0.5", "1", "2", "5", "10", "20"]
+        );
+        assert_eq!(
+            labels(Axis::logarithmic("", [3.8, 17.0]), 6.0),
+            ["4", "5", "6", "8", "10", "15"]
         );
         assert_eq!(
             labels(Axis::logarithmic("", [1e-12, 1.0]), 6.0),

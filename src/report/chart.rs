@@ -39,19 +39,15 @@ impl Histogram<'_> {
         });
         let most = bins.iter().copied().max().unwrap_or(0).max(1) as f64;
         let highest = expected.iter().copied().fold(most, f64::max);
-        let title = format!(
-            "{} ({beyond} of {} points lie beyond)",
-            self.title,
-            self.values.len()
-        );
+        let title = format!("{} ({beyond} of {} beyond)", self.title, self.values.len());
         let axes = Axes {
-            frame: [0.0, 0.0, 400.0, 170.0],
+            frame: [0.0, 0.0, 345.0, 150.0],
             beyond: [0.0; 2],
             title: "",
             x: Axis::linear(&title, [self.low, self.high]),
             y: Axis::linear("", [0.0, highest]),
         };
-        let mut svg = Svg::part([-50.0, -10.0, 470.0, 230.0], "", self.title);
+        let mut svg = Svg::part([-55.0, -10.0, 415.0, 205.0], "", self.title);
         axes.draw(&mut svg);
         for (i, &count) in bins.iter().enumerate() {
             let color = css((self.color)((edge(i) + edge(i + 1)) / 2.0));
@@ -136,7 +132,7 @@ mod tests {
             expected: Some(&|_, _| 0.5),
         };
         let svg = histogram.svg();
-        assert!(svg.contains("(1 of 4 points lie beyond)"), "{svg}");
+        assert!(svg.contains("(1 of 4 beyond)"), "{svg}");
         assert!(svg.contains("<polyline") && !svg.contains("NaN"));
     }
 

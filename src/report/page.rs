@@ -43,6 +43,8 @@ pub struct Report {
     pub plan: Vec<[String; 6]>,
     /// What the plan says of the scene's tolerance.
     pub accuracy: Option<String>,
+    /// Name and path of files next to the page.
+    pub files: Vec<(&'static str, &'static str)>,
     /// What the run was: name and value.
     pub run: Vec<(&'static str, String)>,
 }
@@ -237,6 +239,7 @@ mod tests {
             }],
             plan: vec![],
             accuracy: None,
+            files: vec![("scene", "scene.toml")],
             run: vec![],
         };
         let html = report.html();
@@ -246,6 +249,7 @@ mod tests {
             2,
             "a gap breaks the line"
         );
+        assert!(html.contains("<a href=\"scene.toml\">scene</a>"));
         assert!(!html.contains("http"), "nothing is loaded from elsewhere");
     }
 }

@@ -131,15 +131,15 @@ pub struct PartPicture {
     pub height: f64,
 }
 
-/// The part in grey with points on it, `size` pixels on its longer side. A pixel has the colour of
-/// the median value of the points in it: the front or the last point would be a biased choice.
-/// Points behind the surface are hidden.
+/// The part in grey with points on it, `size` pixels on its longer side. A point covers a square of `spacing` mm, at
+/// least a pixel. A pixel has the colour of the median value of the points in it: the front or the last point would be a
+/// biased choice. Points behind the surface are hidden.
 pub fn part_picture(
     accel: &Accel,
     points: impl IntoIterator<Item = (DVec3, f32)>,
     color: &dyn Fn(f64) -> [u8; 3],
     view: ParallelView,
-    size: usize,
+    (size, spacing): (usize, f64),
 ) -> PartPicture {
     let bounds = accel.bounds();
     let into = view.right.cross(view.down);
@@ -174,15 +174,20 @@ pub fn part_picture(
 
     let tolerance = 0.01 * bounds.size().length();
     let mut values: Vec<(u32, f32)> = Vec::new();
-    for (p, value) in points {
-        let x = (p.dot(view.right) - left + margin) * scale;
-        let y = (p.dot(view.down) - top + margin) * scale;
-        if !(x >= 0.0 && y >= 0.0 && (x as usize) < width && (y as usize) < height) {
-            continue;
-        }
-        let i = y as usize * width + x as usize;
-        if p.dot(into) - start <= depth[i] + tolerance && !value.is_nan() {
-            values.push((i as u32, value));
+    let reach = (spacing * scale / 2.0).ceil() as i64;
+    for (p, value) in points.into_iter().filter(|(_, value)| !value.is_nan()) {
+        let x = ((p.dot(view.right) - left + margin) * scale).floor() as i64;
+        let y = ((p.dot(view.down) - top + margin) * scale).floor() as i64;
+        let columns = (x - reach).max(0)..(x + reach + 1).min(width as i64);
+        for row in (y - reach).max(0)..(y + reach + 1).min(height as i64) {
+            for column in columns.clone() {
+                let i = row as usize * width + column as usize;
+                let off_surface = p.dot(into) - start - depth[i];
+                // Next to its own pixel a point does not cover the background.
+                if off_surface <= tolerance && (reach == 0 || depth[i].is_finite()) {
+                    values.push((i as u32, value));
+                }
+            }
         }
     }
     values.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -252,7 +257,7 @@ mod tests {
                 down: -DVec3::Y,
             };
             let corner = DVec3::new(0.49 * x, -0.49 * y, 0.0);
-            let picture = part_picture(&accel, [(corner, 0.0)], &|_| [1, 2, 3], view, 300);
+            let picture = part_picture(&accel, [(corner, 0.0)], &|_| [1, 2, 3], view, (300, 0.0));
             let image = image::load_from_memory(&picture.png).unwrap().to_rgb8();
             assert_eq!(image.width().max(image.height()), 300);
             assert!(picture.left < -0.5 * x && picture.left + picture.width > 0.5 * x);
@@ -260,6 +265,13 @@ mod tests {
             let drawn = image.enumerate_pixels().find(|(_, _, p)| p.0 == [1, 2, 3]);
             let (i, j, _) = drawn.expect("the point is in the picture");
             let scale = f64::from(image.width()) / picture.width;
+            // Three pixels wide: one and its neighbours, and one more to the right and below.
+            let spacing = (300, 1.9 / scale);
+            let middle = [(DVec3::ZERO, 0.0)];
+            let wide = part_picture(&accel, middle, &|_| [1, 2, 3], view, spacing);
+            let wide = image::load_from_memory(&wide.png).unwrap().to_rgb8();
+            let covered = wide.pixels().filter(|p| p.0 == [1, 2, 3]).count();
+            assert_eq!(covered, 16);
             let expected = [corner.x - picture.left, -corner.y - picture.top];
             for (found, expected) in [i, j].into_iter().zip(expected) {
                 // The pixel it lies in.
@@ -302,7 +314,8 @@ mod tests {
                     }
                 };
                 let view = ParallelView { right, down };
-                let picture = part_picture(&accel, points.iter().copied(), &paint, view, 200);
+                let picture =
+                    part_picture(&accel, points.iter().copied(), &paint, view, (200, 0.0));
                 let image = image::load_from_memory(&picture.png).unwrap().to_rgb8();
                 let count = |color: [u8; 3]| image.pixels().filter(|p| p.0 == color).count() as f64;
                 let (red, blue) = (count([255, 0, 0]), count([0, 0, 255]));

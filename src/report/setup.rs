@@ -51,7 +51,7 @@ impl Setup<'_> {
     fn drawing(&self, right: DVec3) -> String {
         let down = self.pose.part_from_laser.rotation.z_axis;
         let view = ParallelView { right, down };
-        let part = part_picture(self.accel, [], &|_| [0; 3], view, 500);
+        let part = part_picture(self.accel, [], &|_| [0; 3], view, (500, 0.0));
         let flat = |p: DVec3| DVec2::new(p.dot(right), p.dot(down));
         let mut low = DVec2::new(part.left, part.top);
         let mut high = low + DVec2::new(part.width, part.height);

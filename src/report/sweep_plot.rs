@@ -6,6 +6,8 @@ use super::svg::Svg;
 
 /// One plot.
 pub struct Panel<'a> {
+    /// Name of the figure in the table.
+    pub title: &'a str,
     /// What is varied, or another figure.
     pub x: &'a str,
     /// The figure.
@@ -104,7 +106,7 @@ fn draw(svg: &mut Svg, panel: &Panel, top: f64) {
     let axes = Axes {
         frame: [80.0, top, WIDTH, HEIGHT],
         beyond: [0.0; 2],
-        title: "",
+        title: panel.title,
         x: match panel.words.is_empty() {
             false => Axis::named(panel.x, &panel.words),
             true if geometric(&xs) => {
@@ -180,8 +182,9 @@ mod tests {
             gaps: gaps.to_vec(),
         };
         let panel = Panel {
+            title: "deviation.std_um",
             x: "camera.f_number",
-            y: "deviation.std_um",
+            y: "deviation, µm",
             words: vec![],
             joined: true,
             curves: vec![curve("a <b>", &[]), curve("c", &[3.0])],
@@ -191,6 +194,18 @@ mod tests {
         assert_eq!(svg.matches("<circle").count(), 6);
         assert_eq!(svg.matches("<polygon").count(), 2);
         assert_eq!(svg.matches("<polyline").count(), 2);
+        let names = ["deviation.std_um", "deviation, µm", "camera.f_number"];
+        assert!(
+            names
+                .iter()
+                .all(|name| svg.contains(&format!(">{name}</text>")))
+        );
+        // Round numbers on both axes.
+        assert!(
+            [">2.5</text>", ">1.5</text>"]
+                .iter()
+                .all(|tick| svg.contains(tick))
+        );
         assert!(!svg.contains("<b>"), "{svg}");
     }
 }

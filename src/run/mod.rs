@@ -34,6 +34,7 @@ mod recipe;
 mod reflections;
 mod render;
 pub(crate) mod report;
+mod resolved;
 mod scan;
 pub(crate) mod scan_speckle;
 mod search;

@@ -3,10 +3,10 @@
 mod frames;
 mod histograms;
 
-use super::Control;
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
 use super::surface_view::surface_view;
+use super::{Control, resolved};
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::frame::Blur;
@@ -101,6 +101,10 @@ impl Shown<'_> {
             plan: plan.effects.iter().map(plan_row).collect(),
             accuracy: plan.accuracy.as_ref().map(|a| a.statement.clone()),
             coverage: self.summary.coverage.clone(),
+            files: vec![
+                ("resolved scene", resolved::SCENE),
+                ("resolved sensor", resolved::SENSOR),
+            ],
             run: self.run,
         })
     }
@@ -230,6 +234,7 @@ impl Shown<'_> {
                     .iter()
                     .map(|(p, fate)| (*p, f32::from(*fate as u8)))
             };
+            let spacing = (coverage.area_mm2 / coverage.places.len().max(1) as f64).sqrt();
             let paint = |median: f64| {
                 let order = median.round() as usize;
                 let fate = Fate::ALL.into_iter().find(|&fate| fate as usize == order);
@@ -241,7 +246,7 @@ impl Shown<'_> {
                 legend: "Green: measured. Other colours: why it is not, as in the table of coverage below.",
                 views: (views.iter())
                     .map(|&(caption, view)| {
-                        let picture = part_picture(&self.simulation.accel, places(), &paint, view, PICTURE_SIZE);
+                        let picture = part_picture(&self.simulation.accel, places(), &paint, view, (PICTURE_SIZE, spacing));
                         (caption, picture.png)
                     })
                     .collect(),
@@ -312,11 +317,17 @@ impl Shown<'_> {
     ) -> ColorMap {
         let views = views.iter().map(|&(caption, view)| {
             // At its position on the CAD, so that its error does not move a point to another pixel.
-            let points = self.points.iter().filter_map(|p| {
-                let on_cad = p.position - p.deviation * p.normal.as_dvec3();
-                Some((on_cad, value(p)? as f32))
-            });
-            let picture = part_picture(&self.simulation.accel, points, color, view, PICTURE_SIZE);
+            let points = self
+                .points
+                .iter()
+                .filter_map(|p| Some((on_cad(p), value(p)? as f32)));
+            let picture = part_picture(
+                &self.simulation.accel,
+                points,
+                color,
+                view,
+                (PICTURE_SIZE, 0.0),
+            );
             (caption, picture.png)
         });
         ColorMap {
@@ -384,7 +395,11 @@ impl Shown<'_> {
         let stride = self.points.len().div_ceil(MOST_IN_VIEWER).max(1);
         let shown: Vec<&CloudPoint> = self.points.iter().step_by(stride).filter(inside).collect();
         let mut cloud = Layer {
-            positions: shown.iter().map(|p| p.position).collect(),
+            // The part would hide points inside the material, and show only those outside.
+            positions: shown
+                .iter()
+                .map(|p| if p.is_valid() { on_cad(p) } else { p.position })
+                .collect(),
             values: point_values(&shown),
             modes: point_modes(&shown, limits),
         };
@@ -434,6 +449,11 @@ impl Shown<'_> {
         };
         setup.drawings().into()
     }
+}
+
+/// Returns the position of a point on the CAD.
+fn on_cad(point: &CloudPoint) -> DVec3 {
+    point.position - point.deviation * point.normal.as_dvec3()
 }
 
 /// The surfaces of the part, each with its name if it has one.
@@ -557,7 +577,7 @@ pub(crate) fn point_modes(points: &[&CloudPoint], limits: &Limits) -> Vec<Mode> 
     vec![
         mode(
             "deviation",
-            "Deviation from the CAD surface: red outside the material, blue inside.".into(),
+            "Deviation from the CAD surface: red outside the material, blue inside. Valid points are drawn on the surface.".into(),
             Some(Bar::new(-d, d, "µm", |x| diverging(x, d))),
             &|p| diverging(p.deviation * 1e3, d),
         ),

@@ -1,11 +1,13 @@
 //! A scan: frames in parallel, each into the journal, then cloud, summary, report and, last of
 //! all, the manifest that says the run is complete.
 
+use super::assessment::Assessment;
 use super::frames::{FrameContent, Run};
 use super::journal::{Journal, RunKey};
 use super::output_folder::{Claimed, Names, OutputFolder, remove_unfinished};
 use super::ready;
 use super::report::Shown;
+use super::resolved;
 use super::shards::{self, Shard};
 use super::simulation::Simulation;
 use super::summary::ScanSummary;
@@ -72,8 +74,8 @@ pub struct ScanOptions {
     pub also: Vec<Format>,
 }
 
-/// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`,
-/// `report.html`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
+/// Runs the frames and writes `cloud.ply`, `profiles.npy`, `summary.json`, `report.html`, `resolved-scene.toml`,
+/// `resolved-sensor.toml`, `frames.journal` and `manifest.json` to `out`, and `frames/` if
 /// the scene asks for them. Files that an earlier run wrote under these names are removed
 /// first, but with `resume` not the frames whose record and image are complete. Other files
 /// are not touched ([`OutputFolder`]).
@@ -267,12 +269,14 @@ fn strict_simulation(
 }
 
 /// Files that every scan writes. The manifest is removed first: without it a run is not complete.
-const FILES: [&str; 7] = [
+const FILES: [&str; 9] = [
     "manifest.json",
     "summary.json",
     "report.html",
     "cloud.ply",
     PROFILES,
+    resolved::SCENE,
+    resolved::SENSOR,
     "frame.png",
     "cloud.png",
 ];
@@ -365,7 +369,12 @@ fn judge(
     });
     control.check()?;
     let mut summary = summary(simulation, frames, (&points, measured), out);
-    let Foreseen { warnings, .. } = warnings::foreseen_of(simulation, frames.clone());
+    let Foreseen {
+        assessment,
+        warnings,
+        ..
+    } = warnings::foreseen_of(simulation, frames.clone());
+    summary.assessment = assessment;
     summary.warnings = warnings::found(
         &points,
         frames.len(),
@@ -434,7 +443,7 @@ fn finish(
                 format.write(file, &points)
             })?;
         }
-        Ok(())
+        resolved::write(&simulation.scene, out)
     };
     let shown = Shown {
         simulation,
@@ -495,6 +504,8 @@ fn summary(
         columns,
         measured_share: measured as f64 / (columns as f64 * frames.len() as f64),
         points: points.len(),
+        valid_fraction: (!points.is_empty())
+            .then(|| valid.clone().count() as f64 / points.len() as f64),
         blurred_share: None,
         deviation: DeviationStatistics::of(valid.map(|p| p.deviation)),
         deviation_of_all: DeviationStatistics::of(points.iter().map(|p| p.deviation)),
@@ -509,6 +520,7 @@ fn summary(
         alignment: None,
         accuracy: None,
         coverage: None,
+        assessment: Assessment::default(),
         warnings: Vec::new(),
         cloud: out.join("cloud.ply"),
         report: out.join("report.html"),

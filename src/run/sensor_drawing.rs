@@ -9,11 +9,16 @@ const SIGHT: &str = "stroke='#2471a3' stroke-width='1.2'";
 const FIELD: &str = "fill='#1e8449' fill-opacity='0.15' stroke='#1e8449'";
 const HOUSING: &str = "stroke='#7d3c98' stroke-width='1.5'";
 const PART: &str = "stroke='#222' stroke-width='2'";
-/// Greatest width and height of the drawing, px: text of 12 px stays readable on a page of this width.
-const ROOM: [f64; 2] = [640.0, 460.0];
+/// Largest width of the file and height of a view, px. In the narrowest column of the live view, 358 px on a phone,
+/// text of 13 px is 11 px high.
+const ROOM: [f64; 2] = [420.0, 460.0];
+/// Left and right of a view, px: ticks and titles.
+const MARGINS: [f64; 2] = [70.0, 20.0];
+/// Between the views, px: ticks and titles.
+const BETWEEN: f64 = 90.0;
 const DISTANCE: &str = "from the laser along the beam, mm";
 
-/// Seen along the line and across it, both to one scale, as an SVG file.
+/// Seen along the line and, below, across it, both to one scale, as an SVG file.
 pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
     let [near, far] = figures.ends();
     let [_, eye_y, eye_z] = figures.camera_mm;
@@ -36,31 +41,25 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         side.max(1.15 * eye_y).max(1.05 * to),
     ];
     let widths = [beside[1] - beside[0], 2.0 * line];
-    let scale = ((ROOM[0] - 60.0) / (widths[0] + widths[1])).min(ROOM[1] / (bottom - top));
+    let widest = widths[0].max(widths[1]);
+    let scale = ((ROOM[0] - MARGINS[0] - MARGINS[1]) / widest).min(ROOM[1] / (bottom - top));
     let height = scale * (bottom - top);
-    let lefts = [70.0, 70.0 + scale * widths[0] + 80.0];
-    let mut svg = Svg::file([lefts[1] + scale * widths[1] + 30.0, height + 130.0], 12.0);
-    let axes = |left: f64, title, x, ends: [f64; 2]| Axes {
-        frame: [left, 50.0, scale * (ends[1] - ends[0]), height],
-        beyond: [0.0; 2],
-        title,
-        x: Axis::linear(x, ends),
-        y: Axis::linear(DISTANCE, [bottom, top]),
+    let tops = [40.0, 40.0 + height + BETWEEN];
+    let end = tops[1] + height + 75.0;
+    let mut svg = Svg::file([ROOM[0], end + 30.0], 13.0);
+    let axes = |below: f64, names, ends: [f64; 2]| {
+        let width = scale * (ends[1] - ends[0]);
+        view(
+            [MARGINS[0], below, width, height],
+            names,
+            [ends, [bottom, top]],
+        )
     };
-
-    let seen = axes(
-        lefts[0],
-        "Seen along the line",
-        "across the line, mm",
-        beside,
-    );
+    let names = ["Seen along the line", "across the line, mm"];
+    let seen = axes(tops[0], names, beside);
     draw_side(&mut svg, &seen, figures, bottom);
-    let front = axes(
-        lefts[1],
-        "Seen across the line",
-        "along the line, mm",
-        [-line, line],
-    );
+    let names = ["Seen across the line", "along the line, mm"];
+    let front = axes(tops[1], names, [-line, line]);
     draw_front(&mut svg, &front, figures);
     let of_part = [
         (&seen, &cuts.across_line, beside),
@@ -84,8 +83,27 @@ pub fn sensor_drawing(figures: &SensorFigures, cuts: &Cuts) -> String {
         }
         entries.push((Mark::Line, HOUSING, "housing"));
     }
-    legend(&mut svg, [lefts[0], height + 115.0], [130.0, 0.0], &entries);
+    draw_legend(&mut svg, end, &entries);
     svg.finish()
+}
+
+/// In lines of three.
+fn draw_legend(svg: &mut Svg, top: f64, entries: &[(Mark, &str, &str)]) {
+    for (line, entries) in entries.chunks(3).enumerate() {
+        let at = [20.0, top + 20.0 * line as f64];
+        legend(svg, at, [130.0, 0.0], entries);
+    }
+}
+
+/// A view with its titles.
+fn view(frame: [f64; 4], [title, x]: [&'static str; 2], ends: [[f64; 2]; 2]) -> Axes<'static> {
+    Axes {
+        frame,
+        beyond: [0.0; 2],
+        title,
+        x: Axis::linear(x, ends[0]),
+        y: Axis::linear(DISTANCE, ends[1]),
+    }
 }
 
 /// Half the width of field and housing along the line.

@@ -1,5 +1,6 @@
 //! What a scan gave, in numbers.
 
+use super::assessment::Assessment;
 use super::reason::Warning;
 use crate::error::printable;
 use crate::inspect::align::Alignment;
@@ -28,6 +29,8 @@ pub struct ScanSummary {
     pub measured_share: f64,
     /// Number of measured points, flagged ones too.
     pub points: usize,
+    /// Fraction of the points that are valid; `null` if there is none.
+    pub valid_fraction: Option<f64>,
     /// Share of the points at which the lens's blur is wider than
     /// two standard deviations of their line; `null` if there is none.
     pub blurred_share: Option<f64>,
@@ -51,6 +54,8 @@ pub struct ScanSummary {
     pub accuracy: Option<Accuracy>,
     /// What became of the part's surface; `null` for a part without area.
     pub coverage: Option<SurfaceCoverage>,
+    /// Fractions of surface and light, and the path, as `check` predicts them before the scan.
+    pub assessment: Assessment,
     /// What spoils the scan; empty for a good one.
     pub warnings: Vec<Warning>,
     /// The cloud's file.

@@ -31,4 +31,5 @@ pub use resolve::{Measure, Scene, SpeckleModel};
 pub use unit::Unit;
 #[doc(hidden)]
 pub use values::set as set_value;
+pub(crate) use values::{FILE_KEYS, at as value_at};
 pub use warnings_table::WarningsTable;

@@ -63,6 +63,10 @@ pub struct Scene {
     #[doc(hidden)]
     #[serde(skip)]
     pub inputs: Arc<[PathBuf]>,
+    /// All values by key, from the file, from the sensor that it names, and from a data sheet.
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub values: Arc<toml::Table>,
     /// SHA-256 of the scene file and of the files it names, hexadecimal.
     #[doc(hidden)]
     pub hash: String,
@@ -206,23 +210,6 @@ impl Scene {
         let path = folder.join("scene text");
         let source = Source::parse(&path, text.to_owned())?;
         Scene::resolved(source, &path, &|_| Ok(()), None)
-    }
-
-    /// All values of a scene file by key: its own, those of the sensor it names, and what follows from a data
-    /// sheet. Errors: as of [`Scene::load`], but for what only the values together show.
-    #[cfg(feature = "service")]
-    pub(crate) fn values(path: &Path) -> Result<toml::Table> {
-        let mut resolver = Resolver {
-            source: Source::read(path)?,
-            path,
-            watch: &|_| Ok(()),
-            inputs: RefCell::default(),
-        };
-        resolver.take_sensor()?;
-        let mut values: toml::Table = resolver.source.values()?;
-        values.remove("sensor");
-        values.remove("data_sheet");
-        Ok(values)
     }
 
     /// The scene of another text with the same part, whose mesh and copies are shared and not read again.
@@ -393,8 +380,12 @@ impl Resolver<'_> {
             (file.write_frames, laser.fan.is_some()),
             by_field,
         )?;
+        let mut values: toml::Table = self.source.values()?;
+        values.remove("sensor");
+        values.remove("data_sheet");
         Ok(Scene {
             path: self.path.to_owned(),
+            values: values.into(),
             inputs: self.inputs.take().into(),
             hash: self.hash(&[mesh_hash, copies_hash, poses_hash, calibration_hash]),
             seed: file.seed,

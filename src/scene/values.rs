@@ -2,6 +2,23 @@
 
 use toml::{Table, Value};
 
+/// Keys whose values name files.
+pub const FILE_KEYS: [&str; 5] = [
+    "part.mesh.file",
+    "part.copies",
+    "scan.poses",
+    "scan.frame_times",
+    "measure.calibration",
+];
+
+/// Returns the value of a dotted key.
+pub fn at<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
+    match key.split_once('.') {
+        None => table.get_mut(key),
+        Some((first, rest)) => at(table.get_mut(first)?.as_table_mut()?, rest),
+    }
+}
+
 /// Sets what stands at a dotted key, with a number for an element of a list
 /// ("camera.resolution_px.0"); `None` takes it out. Errors: what cannot be set, in words.
 pub fn set(root: &mut Value, key: &str, new: Option<Value>) -> Result<(), String> {

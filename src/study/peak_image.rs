@@ -5,6 +5,7 @@ use crate::camera::Counts;
 use crate::error::input_file::{self, LARGEST_DATA};
 use crate::error::{InputError, Place, Result, printable};
 use crate::profile::{Peak, PeakFinder, PeakSettings, find_peaks};
+use crate::report::axes::{Axes, Axis, Mark, legend};
 use crate::report::picture::encode_for_eyes;
 use crate::report::svg::Svg;
 use crate::run::output_folder::{Names, OutputFolder};
@@ -107,8 +108,8 @@ impl GreyImage {
     }
 }
 
-/// Runs all finders on an image; writes `line.csv`, `line.json` and `line.svg`, the
-/// image with what they found over it.
+/// Runs all finders on an image. Writes `line.csv`, `line.json` and `line.svg`: the image with the line that was
+/// found, and how far each finder's points are from it.
 pub fn peaks_of_image<'a>(
     path: &Path,
     line_along: LineAlong,
@@ -163,39 +164,119 @@ fn name(finder: PeakFinder) -> String {
     value.as_str().expect("a name").to_owned()
 }
 
-const COLORS: [&str; 4] = ["#ff5040", "#40a0ff", "#30d060", "#ffc000"];
+const FOUND: &str = "fill='#ff5040'";
+const VALID: &str = "fill='#2471a3'";
+const FLAGGED: &str = "fill='#d55e00'";
+/// Left edge and width of all panels, px: text of 12 px stays readable on a page of this width.
+const SIDES: [f64; 2] = [75.0, 800.0];
+/// Largest height of the image, px.
+const TALLEST: f64 = 700.0;
+const PANEL: f64 = 110.0;
+const BETWEEN: f64 = 80.0;
 
-/// The image for people as it was, and above it each finder's points.
+/// The image for people as it was with the median row of the finders, and below it how far each finder's
+/// points are from that.
 fn overlay(image: &GreyImage, lines: &[(PeakFinder, Vec<Peak>)]) -> String {
     let (columns, rows) = (image.counts.columns(), image.counts.rows());
     let png = encode_for_eyes(&image.counts.to_rows(), columns, image.saturation_dn);
-    let (width, height, turn) = match image.line_along {
-        LineAlong::Columns => (columns as f64, rows as f64, ""),
-        LineAlong::Rows => (rows as f64, columns as f64, "matrix(0 1 1 0 0 0)"),
+    let (size, turn, along) = match image.line_along {
+        LineAlong::Columns => ([columns as f64, rows as f64], "", "column"),
+        LineAlong::Rows => ([rows as f64, columns as f64], "matrix(0 1 1 0 0 0)", "row"),
     };
-    let size = width / 60.0;
-    let head = 3.0 * size;
-    let mut svg = Svg::file([width, height + head], size);
-    for (k, (finder, peaks)) in lines.iter().enumerate() {
-        let x = size * (1.0 + 14.0 * k as f64);
-        let fill = format!("fill='{}'", COLORS[k]);
-        svg.circle([x, head - 1.5 * size], size / 3.0, &fill);
-        let label = format!("{}: {} points", name(*finder), peaks.len());
-        svg.text([x + size * 0.7, head - 1.15 * size], "", &label);
-    }
-    svg.group(
-        &format!("transform='translate(0 {head}) {turn}'"),
-        "",
-        |svg| {
-            svg.image([0.0, 0.0, columns as f64, rows as f64], &png);
-            for ((_, peaks), color) in lines.iter().zip(COLORS) {
-                svg.group(&format!("fill='{color}'"), "", |svg| {
-                    for p in peaks {
-                        svg.circle([p.column as f64 + 0.5, p.row], width / 900.0, "");
-                    }
-                });
-            }
-        },
+    let scale = (SIDES[1] / size[0]).min(TALLEST / size[1]);
+    let medians = median_rows(columns, lines);
+    let below = 50.0 + scale * size[1];
+    let height = below + (PANEL + BETWEEN) * lines.len() as f64 + 40.0;
+    let mut svg = Svg::file([SIDES[0] + SIDES[1] + 25.0, height], 12.0);
+    legend(
+        &mut svg,
+        [SIDES[0], 25.0],
+        [0.0; 2],
+        &[(Mark::Dot, FOUND, "median of the finders")],
     );
+    let style = format!(
+        "transform='translate({} 40) scale({scale}) {turn}'",
+        SIDES[0]
+    );
+    svg.group(&style, "", |svg| {
+        svg.image([0.0, 0.0, columns as f64, rows as f64], &png);
+        for (column, row) in medians.iter().enumerate() {
+            if let Some(row) = row {
+                svg.circle([column as f64 + 0.5, *row], 0.8 / scale, FOUND);
+            }
+        }
+    });
+    panels(&mut svg, (along, below + 40.0), lines, &medians);
+    let marks = [
+        (Mark::Dot, VALID, "point"),
+        (Mark::Dot, FLAGGED, "flagged point"),
+    ];
+    legend(&mut svg, [SIDES[0], height - 15.0], [110.0, 0.0], &marks);
     svg.finish()
+}
+
+/// A panel for each finder from `top` on: how far its points are from the median.
+fn panels(
+    svg: &mut Svg,
+    (along, top): (&str, f64),
+    lines: &[(PeakFinder, Vec<Peak>)],
+    medians: &[Option<f64>],
+) {
+    let from_median = |peak: &Peak| medians[peak.column as usize].map(|row| peak.row - row);
+    let mut off: Vec<f64> = (lines.iter().flat_map(|(_, peaks)| peaks))
+        .filter_map(|peak| from_median(peak).map(f64::abs))
+        .collect();
+    off.sort_by(f64::total_cmp);
+    // The axis ends before outliers, which are drawn on its end.
+    let reach = 1.3
+        * off
+            .get(off.len() * 98 / 100)
+            .copied()
+            .unwrap_or(0.0)
+            .max(0.02);
+    for (k, (finder, peaks)) in lines.iter().enumerate() {
+        let flagged = peaks.iter().filter(|peak| !peak.flags.is_empty()).count();
+        let title = format!(
+            "{}: {} points, {flagged} of them flagged",
+            name(*finder),
+            peaks.len()
+        );
+        let axes = Axes {
+            frame: [
+                SIDES[0],
+                top + (PANEL + BETWEEN) * k as f64,
+                SIDES[1],
+                PANEL,
+            ],
+            beyond: [0.0; 2],
+            title: &title,
+            x: Axis::linear(along, [0.0, medians.len() as f64]),
+            y: Axis::linear("from median, px", [-reach, reach]),
+        };
+        axes.draw(svg);
+        for peak in peaks {
+            if let Some(off) = from_median(peak) {
+                let style = if peak.flags.is_empty() {
+                    VALID
+                } else {
+                    FLAGGED
+                };
+                svg.circle(axes.at(f64::from(peak.column) + 0.5, off), 1.3, style);
+            }
+        }
+    }
+}
+
+/// The median row of the finders in each column.
+fn median_rows(columns: usize, lines: &[(PeakFinder, Vec<Peak>)]) -> Vec<Option<f64>> {
+    let mut rows = vec![Vec::new(); columns];
+    for peak in lines.iter().flat_map(|(_, peaks)| peaks) {
+        rows[peak.column as usize].push(peak.row);
+    }
+    let median = |mut rows: Vec<f64>| {
+        rows.sort_by(f64::total_cmp);
+        let last = rows.len().checked_sub(1)?;
+        Some((rows[last / 2] + rows[rows.len() / 2]) / 2.0)
+    };
+    rows.into_iter().map(median).collect()
 }

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::math::{DMat3, DVec3, Rigid};
 use crate::report::live::Slider;
 use crate::run::surface_view::surface_view;
-use crate::scene::{Scene, set_value};
+use crate::scene::{FILE_KEYS, Scene, set_value, value_at};
 use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
@@ -58,14 +58,6 @@ pub enum Files {
     AsGiven,
 }
 
-/// Keys of files.
-const FILES: [&str; 5] = [
-    "part.mesh.file",
-    "part.copies",
-    "scan.poses",
-    "scan.frame_times",
-    "measure.calibration",
-];
 /// Positions in the head's frame, and directions.
 const POSITIONS: [&str; 3] = [
     "laser.position_mm",
@@ -79,11 +71,11 @@ const RATIOS: f64 = 32.0;
 impl Base {
     /// Of a scene that was read from a file; what of it was changed since is in the values too.
     pub fn new(scene: &Scene, files: Files) -> Result<Base> {
-        let mut table = Scene::values(&scene.path)?;
+        let mut table = Table::clone(&scene.values);
         let folder = scene.path.parent().unwrap_or(Path::new(""));
-        for key in FILES {
+        for key in FILE_KEYS {
             if files == Files::ByFullPath
-                && let Some(Value::String(name)) = at(&mut table, key)
+                && let Some(Value::String(name)) = value_at(&mut table, key)
             {
                 let path = std::path::absolute(folder.join(&*name));
                 *name = path.map_or(name.clone(), |path| path.to_string_lossy().into_owned());
@@ -194,7 +186,7 @@ impl Base {
             return Ok(toml::to_string(&table).expect("a scene was TOML"));
         }
         for key in POSITIONS.into_iter().chain(DIRECTIONS) {
-            let Some(old) = at(&mut table, key) else {
+            let Some(old) = value_at(&mut table, key) else {
                 continue;
             };
             let Some(place) = vector(old) else { continue };
@@ -242,14 +234,6 @@ fn set(table: &mut Table, key: &str, value: Option<Value>) -> Result<()> {
         *table = changed;
     }
     done.map_err(Error::Usage)
-}
-
-/// What stands at a dotted key.
-fn at<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Value> {
-    match key.split_once('.') {
-        None => table.get_mut(key),
-        Some((first, rest)) => at(table.get_mut(first)?.as_table_mut()?, rest),
-    }
 }
 
 /// Three numbers of a list.

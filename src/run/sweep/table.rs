@@ -21,14 +21,26 @@ pub struct Plot {
     pub over: String,
 }
 
-/// Figures that are plotted if nobody says which: what is measured, how far off and how surely it is.
-const DEFAULT: [&str; 3] = [
-    "deviation.std_um",
-    "uncertainty.median_sigma_um",
-    "coverage.shares.measured",
+/// Figures that are plotted by default, and the titles of their axes.
+const DEFAULT: [(&str, &str); 4] = [
+    ("deviation.std_um", "standard deviation from the CAD, µm"),
+    (
+        "uncertainty.median_sigma_um",
+        "median stated uncertainty, µm",
+    ),
+    ("valid_fraction", "fraction of points that are valid"),
+    (
+        "coverage.shares.measured",
+        "fraction of the surface measured",
+    ),
 ];
-/// Plots that nobody chose.
-const MOST_DEFAULT: usize = 9;
+/// Number of plots by default.
+const MOST_DEFAULT: usize = 12;
+
+fn title_of(figure: &str) -> &str {
+    let found = DEFAULT.iter().find(|(name, _)| *name == figure);
+    found.map_or(figure, |(_, words)| words)
+}
 
 /// A place with its values.
 pub struct Row<'a> {
@@ -137,7 +149,8 @@ pub fn write_plots(
 }
 
 fn by_default(keys: &[&str], names: &BTreeSet<&str>) -> Vec<Plot> {
-    let figures = || DEFAULT.into_iter().filter(|figure| names.contains(figure));
+    let default = DEFAULT.map(|(figure, _)| figure);
+    let figures = || default.into_iter().filter(|figure| names.contains(figure));
     let of = |key: &&str| {
         let over = (*key).to_owned();
         let plot = move |figure: &str| Plot {
@@ -211,8 +224,9 @@ fn panel<'a>(places: &Places, rows: &[Row], plot: &'a Plot) -> Panel<'a> {
         curve.points.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
     Panel {
-        x: &plot.over,
-        y: &plot.figure,
+        title: &plot.figure,
+        x: title_of(&plot.over),
+        y: title_of(&plot.figure),
         words,
         joined,
         curves,

@@ -1,0 +1,67 @@
+//! Scene and sensor of a scan as files in its output folder.
+
+use super::files;
+use crate::accel::Backend;
+use crate::error::Result;
+use crate::scene::{FILE_KEYS, Scene, value_at};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+pub const SCENE: &str = "resolved-scene.toml";
+pub const SENSOR: &str = "resolved-sensor.toml";
+
+/// Top-level keys of a sensor's file.
+const OF_SENSOR: [&str; 4] = ["laser", "camera", "housing_mm", "accept"];
+
+/// Writes two files: the values of the scene and, in a file that the first one names, the values of its sensor. They
+/// include the seed, the exposure, and all values that a data sheet determines. Files are named relative to the output
+/// folder, so that a tree with both can be moved.
+pub fn write(scene: &Scene, out: &Path) -> Result<()> {
+    let mut table = Table::clone(&scene.values);
+    let folder = scene.path.parent().unwrap_or(Path::new(""));
+    for key in FILE_KEYS {
+        if let Some(Value::String(name)) = value_at(&mut table, key) {
+            let file = relative(&folder.join(&*name), out);
+            *name = file.to_string_lossy().into_owned();
+        }
+    }
+    table.insert("seed".to_owned(), Value::Integer(scene.seed as i64));
+    if scene.accel != Backend::default() {
+        let plan = table.entry("plan").or_insert(Value::Table(Table::new()));
+        let name = Value::try_from(scene.accel).expect("a name is TOML");
+        plan.as_table_mut()
+            .and_then(|plan| plan.insert("accel".to_owned(), name));
+    }
+    let camera = table.get_mut("camera").and_then(Value::as_table_mut);
+    if let Some(camera) = camera.filter(|_| scene.auto_exposure.is_none())
+        && camera.remove("exposure").is_some()
+    {
+        camera.remove("exposure_share");
+        camera.insert(
+            "exposure_ms".to_owned(),
+            scene.camera.sensor.exposure_ms.into(),
+        );
+    }
+    let mut sensor = Table::new();
+    for key in OF_SENSOR {
+        sensor.extend(table.remove(key).map(|value| (key.to_owned(), value)));
+    }
+    table.insert("sensor".to_owned(), SENSOR.into());
+    for (name, table) in [(SCENE, table), (SENSOR, sensor)] {
+        let text = toml::to_string(&table).expect("a scene was TOML");
+        files::write_bytes(&out.join(name), text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Returns the path of a file as seen from a folder.
+fn relative(file: &Path, folder: &Path) -> PathBuf {
+    let whole = |path: &Path| path.canonicalize().unwrap_or(path.to_owned());
+    let above = file.parent().filter(|above| !above.as_os_str().is_empty());
+    let [above, folder] = [above.unwrap_or(Path::new(".")), folder].map(whole);
+    let pairs = above.components().zip(folder.components());
+    let common = pairs.take_while(|(a, b)| a == b).count();
+    let up = folder.components().skip(common).map(|_| "..".as_ref());
+    let down = above.components().skip(common).map(|part| part.as_os_str());
+    up.chain(down).chain(file.file_name()).collect()
+}
