@@ -551,59 +551,62 @@ fn judged(path: &Path, file: &str, right: &str) -> (String, Result<(), String>) 
             };
             (format!("refused: {}", text.replace(&folder, "")), allowed)
         }
-        Ok(contents) => {
-            let report = mesh::report(&contents.mesh);
-            let z = contents.mesh.bounds().max.z;
-            let x = contents.mesh.bounds().max.x;
-            let warns = contents.ignored.iter().any(|ignored| ignored.changes_shape);
-            let listed: Vec<String> = contents.ignored.iter().map(ToString::to_string).collect();
-            let (default_n, default_volume) = match file.starts_with('m') {
-                true => (12, 1000.0),
-                false => (4, THIRD),
-            };
-            let [n, volume] = match named {
-                Some((_, n, volume, _)) => [*n as f64, *volume],
-                None if says(&["twice as large"]) => [4.0, 8.0 * THIRD],
-                None if says(&["three placed copies"]) => [12.0, 3.0 * THIRD],
-                // A tip twice as high.
-                None if says(&["z = 20", "z max 20"]) => [4.0, 2.0 * THIRD],
-                None => [
-                    number_at(right, "", " triangles").unwrap_or(f64::from(default_n)),
-                    number_at(right, "", " mm³").unwrap_or(default_volume),
-                ],
-            };
-            // The README rounds 166.667 to 166.67.
-            let near = |a: f64, b: f64| (a - b).abs() <= 1e-4 * b.abs();
-            let z_right = number_at(right, "z max ", "").or(number_at(right, "z = ", ""));
-            let x_right = number_at(right, "moved +", "").map(|by| 10.0 + by);
-            let is_right = report.triangles as f64 == n
-                && near(report.volume_mm3, volume)
-                && z_right.is_none_or(|right| near(z, right))
-                && x_right.is_none_or(|right| near(x, right));
-            let lists = if warns { "; warning: " } else { "; listed: " };
-            let lists = if listed.is_empty() { "" } else { lists };
-            let text = format!(
-                "{} triangles, {:.6} mm³{lists}{}",
-                report.triangles,
-                report.volume_mm3,
-                listed.join("; ")
-            );
-            let allowed = if says(&["with a warning"]) && !warns {
-                Err("no warning".to_owned())
-            } else if says(&["with a word", "a word by name of what was left out"])
-                && listed.is_empty()
-            {
-                Err("nothing is listed".to_owned())
-            } else if is_right && (named.is_some() || !right.starts_with("refused")) {
-                Ok(())
-            } else if by_name && warns {
-                Ok(())
-            } else {
-                Err(format!("expected {n} triangles, {volume:.6} mm³"))
-            };
-            (text, allowed)
-        }
+        Ok(contents) => judged_mesh(&contents, file, right),
     }
+}
+
+/// What was read of a file, in words, and whether the README allows it.
+fn judged_mesh(contents: &mesh::Contents, file: &str, right: &str) -> (String, Result<(), String>) {
+    let says = |words: &[&str]| words.iter().any(|word| right.contains(word));
+    let by_name = says(&["a word", "by name"]);
+    let named = AS_NAMED.iter().find(|(name, ..)| file.starts_with(name));
+    let report = mesh::report(&contents.mesh);
+    let z = contents.mesh.bounds().max.z;
+    let x = contents.mesh.bounds().max.x;
+    let warns = contents.ignored.iter().any(|ignored| ignored.changes_shape);
+    let listed: Vec<String> = contents.ignored.iter().map(ToString::to_string).collect();
+    let (default_n, default_volume) = match file.starts_with('m') {
+        true => (12, 1000.0),
+        false => (4, THIRD),
+    };
+    let [n, volume] = match named {
+        Some((_, n, volume, _)) => [*n as f64, *volume],
+        None if says(&["twice as large"]) => [4.0, 8.0 * THIRD],
+        None if says(&["three placed copies"]) => [12.0, 3.0 * THIRD],
+        // A tip twice as high.
+        None if says(&["z = 20", "z max 20"]) => [4.0, 2.0 * THIRD],
+        None => [
+            number_at(right, "", " triangles").unwrap_or(f64::from(default_n)),
+            number_at(right, "", " mm³").unwrap_or(default_volume),
+        ],
+    };
+    // The README rounds 166.667 to 166.67.
+    let near = |a: f64, b: f64| (a - b).abs() <= 1e-4 * b.abs();
+    let z_right = number_at(right, "z max ", "").or(number_at(right, "z = ", ""));
+    let x_right = number_at(right, "moved +", "").map(|by| 10.0 + by);
+    let is_right = report.triangles as f64 == n
+        && near(report.volume_mm3, volume)
+        && z_right.is_none_or(|right| near(z, right))
+        && x_right.is_none_or(|right| near(x, right));
+    let lists = if warns { "; warning: " } else { "; listed: " };
+    let lists = if listed.is_empty() { "" } else { lists };
+    let text = format!(
+        "{} triangles, {:.6} mm³{lists}{}",
+        report.triangles,
+        report.volume_mm3,
+        listed.join("; ")
+    );
+    let allowed = if says(&["with a warning"]) && !warns {
+        Err("no warning".to_owned())
+    } else if says(&["with a word", "a word by name of what was left out"]) && listed.is_empty() {
+        Err("nothing is listed".to_owned())
+    } else if (by_name && warns) || (is_right && (named.is_some() || !right.starts_with("refused")))
+    {
+        Ok(())
+    } else {
+        Err(format!("expected {n} triangles, {volume:.6} mm³"))
+    };
+    (text, allowed)
 }
 
 /// No wrong geometry without a warning, and no harmless file refused without a reason, by what the README of the folder

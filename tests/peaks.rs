@@ -752,7 +752,11 @@ fn image_cases_are_read_right() {
         assert!(found.len() == 200 && found.iter().all(flagged), "{name}");
         println!("| {name} | SATURATED on all 200 points | as expected |");
     }
-    // Others of the README are read, or refused with a reason.
+    print_other_image_cases(&folder);
+}
+
+/// Prints the outcome of files that are read, or refused with a reason.
+fn print_other_image_cases(folder: &Path) {
     let others = [
         "i05_grey1.png",
         "i05_grey2.png",
