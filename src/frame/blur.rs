@@ -251,7 +251,7 @@ fn blurs(light: &Light, pixel: usize) -> Option<[f64; 2]> {
 }
 
 /// Relative error of the peak of a line that tiles and layers may cause, each.
-const PEAK_TOLERANCE: f64 = 0.005;
+const PEAK_TOLERANCE: f64 = 0.002;
 /// Fewest rows of a tile.
 const FEWEST_ROWS: f64 = 16.0;
 
