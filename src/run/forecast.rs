@@ -24,7 +24,7 @@ const FRAMES_ASKED: u32 = 256;
 /// Bytes of a point in the report: as read from the journal, and all in a row.
 const POINT: u64 = 2 * size_of::<CloudPoint>() as u64;
 /// Bytes of a point on disk: in `cloud.ply`, `profiles.npy`, and at most in the journal.
-const POINT_ON_DISK: u64 = 75 + 98 + 128;
+const POINT_ON_DISK: u64 = 79 + 106 + 136;
 /// Bytes of a frame in the journal beside its points.
 const RECORD: u64 = 36 + 80;
 /// Report, pictures and summary on disk, about, and in memory while they are made.
