@@ -113,7 +113,8 @@ fn is_whole(name: &str, bytes: &[u8]) -> bool {
             // Three doubles, seven floats, three bytes of colour, three integers.
             bytes.len() - header == vertices * 79
         }
-        // Its own checksums say how much of it is whole: tests/resume.rs.
+        "toml" => toml::from_str::<toml::Table>(&text()).is_ok(),
+        // Its own checksums state how much of it is valid: tests/resume.rs.
         "journal" => true,
         other => panic!("{name}: what is a whole .{other} file?"),
     }
@@ -141,8 +142,8 @@ fn killed_at_any_moment_nothing_looks_whole_that_is_not_and_a_new_run_completes(
     let expected = results(&undisturbed.path().join("out"));
     assert_eq!(
         expected.len(),
-        400 + 7,
-        "frames, profiles, cloud, summary, report, journal, 2 pictures"
+        400 + 9,
+        "frames, profiles, cloud, summary, report, journal, 2 pictures, resolved scene and sensor"
     );
     for (name, bytes) in &expected {
         assert!(is_whole(name, bytes), "{name}");
